@@ -232,7 +232,9 @@ def _held(repair: Repair) -> Repair:
     confirmed = repair.confirmed
     if repair.verdict == "nothing missing" and (p := _more_than_noise(repair)) is not None:
         return replace(repair, verdict="unnamed", unknown=Unknown(misfit, {FRESH: p}))
-    if confirmed and _mostly_left(repair):
+    if (
+        confirmed and _mostly_left(repair) and not is_louder(repair)
+    ):  # of louder noise all that is left is noise
         confirmed = False
     # several effects together bend to what none of them is, unless they close all but a tenth of the squares
     if confirmed and len(repair.effects) > 1 and not is_louder(repair) and _left(repair) ** 2 > SEEN:

@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import casadi as ca
+
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.repaired import Unknown
 from casadi_engine.effects.table import rows_of
@@ -32,7 +34,8 @@ def told_as_one_law(repair: Repair) -> Repair:
         ports.setdefault(one.at, []).append(one)
     said = {at: words for at, own in ports.items() if (words := _said(repair.fit, at, own))}
     if not said:
-        return repair
+        beside = [words for at, own in ports.items() if (words := _beside_own_terms(repair.fit, at, own))]
+        return replace(repair, messages=(*beside, *repair.messages)) if beside else repair
     port, words = next(iter(said.items()))
     unknown = repair.unknown or Unknown(words, {}, port, odds=1.0)
     verdict = "class" if repair.verdict == "named" else repair.verdict  # a law of no name is a member too
@@ -46,18 +49,52 @@ def _said(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
     if len(numbers) > 1 and all(one.stderr is None and one.interval is None for one in numbers):
         verb, whose = ("are", "their") if len(own) > 1 else ("is", "its")
         return f"{names} {verb} identified as one curve alone, none of {whose} parameters by itself: {_LAW}"
-    signal = _one_signal(fit, at) if len(own) > 1 and fit is not None else None
+    signal = _one_signal(fit, at, 2) if len(own) > 1 and fit is not None else None
     if signal is None:
         return ""
     return f"{names} add up to a curve over {signal}, which keeps its sign in the records: {_LAW}"
 
 
-def _one_signal(fit: Fit, at: str) -> str | None:
-    """The signal of a port on which all effects there depend that act at any time, where it keeps its sign."""
+def _beside_own_terms(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
+    """What is said of an effect at a port where the model has a term of the same signal, which keeps its sign; "" where
+    it has none."""
+    signal = _one_signal(fit, at, 1) if fit is not None and len(own) == 1 else None
+    if fit is None or signal is None:
+        return ""
+    names, model = list(fit.model.parameter_names), fit.model
+    amplitude = next(iter(own[0].parameters))
+    if amplitude not in names:
+        return ""
+    known = _symbols(ca.substitute(model.ports[at].signals[signal], model.d, model.drive_expressions))
+    moving = _symbols(ca.vertcat(model.x, model.u, model.t))
+    slopes = ca.jacobian(model.closed_ode, model.p)
+    rows = [i for i in range(slopes.size1()) if not slopes[i, names.index(amplitude)].is_zero()]
+    terms = []
+    for name in fit.free:
+        if name not in names or name.startswith(f"{own[0].key}."):
+            continue
+        read = [_symbols(slopes[i, names.index(name)]) & moving for i in rows]
+        if any(read) and all(one <= known for one in read):
+            terms.append(name)
+    if not terms:
+        return ""
+    return (
+        f"{own[0].name} at {at} and what {' and '.join(terms)} does there add up to a curve over {signal}, which keeps "
+        "its sign in the records: their ± hold for these two laws alone"
+    )
+
+
+def _symbols(expression: ca.SX) -> set[int]:
+    return {symbol.element_hash() for symbol in ca.symvar(expression)}
+
+
+def _one_signal(fit: Fit, at: str, least: int) -> str | None:
+    """The signal of a port on which all effects there depend that act at any time, where it keeps its sign and they are
+    so many at least."""
     port, own = fit.model.ports[at], [one.effect for one in fit.model.effects if one.at == at]
     laws = [one for one in own if all(grid.over == "value" for grid in one.nuisance.values())]
     read = {name for one in laws for row in rows_of(one) if row.port == port.kind for name in row.signals}
-    if len(laws) < 2 or len(read) != 1 or not read <= set(port.signals):
+    if len(laws) < least or len(read) != 1 or not read <= set(port.signals):
         return None
     (signal,) = read
     try:

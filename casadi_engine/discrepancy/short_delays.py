@@ -1,5 +1,8 @@
-"""A delay of an input in the place of its lag, where that is shorter than any delay that is searched: over a sample or
-less one does what the other does, and a controller that computes for half a sample is late by a delay."""
+"""Delays of inputs in the place of what does the same, where they are shorter than any that is searched.
+
+Over a sample or less a lag does what a delay does, and a sensor that is late does what an input does that alone moves
+it. A controller that computes for half a sample is late by a delay.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation.search import is_near
 
-_LAG, _DELAY = "input_lag", "input_delay"
+_LAG, _DELAY, _SENSOR = "input_lag", "input_delay", "sensor_delay"
 # Share of the probability below which a member of a class is excluded.
 _LEAST = 0.05
 
@@ -21,25 +24,32 @@ _LEAST = 0.05
 def with_short_delays(
     found: Sequence[FoundEffect], last: Station, refitter: Refitter, screened: Screened
 ) -> tuple[FoundEffect, ...]:
-    """The effects found, a short lag of an input with the delay that does the same as a member of its class."""
-    return tuple(_with_delay(one, last, refitter, screened) for one in found)
+    """The effects found, a short lag of an input and a short delay of a sensor with the delays of inputs that do the
+    same as members of their class."""
+    return tuple(_with_delays(one, last, refitter, screened) for one in found)
 
 
-def _with_delay(one: FoundEffect, last: Station, refitter: Refitter, screened: Screened) -> FoundEffect:
-    known = {member.name for member in one.members}
-    candidate = next((c for c in screened.candidates if c.key == (_DELAY, one.at)), None)
-    time = last.fit.values.get(f"{one.key}.time", math.inf)
-    if one.name != _LAG or _DELAY in known or candidate is None:
+def _with_delays(one: FoundEffect, last: Station, refitter: Refitter, screened: Screened) -> FoundEffect:
+    if one.name not in (_LAG, _SENSOR):
         return one
-    late = addition(candidate, 1.0)
-    if not time < late.nuisance["time"].start:
+    time = last.fit.values.get(f"{one.key}.time", one.amplitude.value)
+    known = {(member.name, member.at) for member in one.members}
+    late = {
+        candidate.port: addition(candidate, 1.0)
+        for candidate in screened.candidates
+        if candidate.effect == _DELAY and (candidate.port == one.at or one.name == _SENSOR)
+    }
+    odds = {}
+    for port, other in late.items():
+        if (_DELAY, port) in known or not 0 < time < other.nuisance["time"].start:
+            continue
+        effects: list[Addition] = [other if own.key == one.key else own for own in last.effects]
+        fit = refitter.with_all(effects, other, time, last.fit)
+        if fit is not None and is_near(fit):
+            odds[port] = math.exp(min(0.5 * (merit(last.fit) - merit(fit)), 50.0))
+    total = 1 + sum(odds.values())
+    more = [Member(_DELAY, port, 1.0, own / total) for port, own in odds.items() if own > _LEAST * total]
+    if not more:
         return one
-    effects: list[Addition] = [late if own.key == one.key else own for own in last.effects]
-    fit = refitter.with_all(effects, late, time, last.fit)
-    if fit is None or not is_near(fit):
-        return one
-    share = 1 / (1 + math.exp(min(max(0.5 * (merit(fit) - merit(last.fit)), -50.0), 50.0)))
-    if share < _LEAST:
-        return one
-    members = [replace(own, probability=(1 - share) * own.probability) for own in one.members]
-    return replace(one, members=(*members, Member(_DELAY, one.at, 1.0, share)))
+    rest = 1 - sum(member.probability for member in more)
+    return replace(one, members=(*(replace(m, probability=rest * m.probability) for m in one.members), *more))

@@ -102,8 +102,8 @@ def unit_words(unit: str) -> str:
 
 
 def read_data_unit(unit: Any, *, where: str = "") -> Unit:
-    """The unit of data; as `read_unit`, but C and F alone are refused, for they may be meant as temperatures, and a dash
-    is what many write for 1."""
+    """The unit of data; as `read_unit`, but C and F alone are refused, for they may be meant as temperatures, and a
+    dash is what many write for 1."""
     text = unit.strip() if isinstance(unit, str) else ""
     if text == NOT_STATED:
         return read_unit("1", where=where)

@@ -84,3 +84,29 @@ def test_two_laws_of_a_signal_that_keeps_its_sign_add_up_to_one_curve(turned, cu
     assert ("add up to a curve over speed, which keeps its sign in the records" in told.messages[0]) == curve
     alone = replace(made, fit=fit, effects=made.effects[:1])
     assert told_as_one_law(alone) is alone
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_law_beside_a_term_of_the_model_over_one_signal_that_keeps_its_sign_is_told_so(turned):
+    """A power of 1.35 beside a linear loss comes out as a square beside a larger one, 94 standard errors off."""
+    b = ce.Blueprint("head")
+    heat, loss = b.parameter("C", 5.0, unit="J/K", min=0.1), b.parameter("G", 0.4, unit="W/K", min=0)
+    temperature, ambient = b.state("T", unit="K", scale=50), b.input("T_amb", unit="K")
+    slot = b.port("body", "inertia", {"speed": temperature - ambient})
+    b.ode("T", (b.input("P", unit="W") - loss * (temperature - ambient) + slot) / heat)
+    b.output("T_seen", temperature, unit="K")
+    model = b.model().with_effect(ce.effects.library("quadratic_drag")[0], at="body")
+    time = np.arange(0.0, 20.0, 0.2)
+    seen = 300 + (0.0 if turned else 40.0) + 10 * np.sin(time)
+    data = ce.Experiment.from_arrays(
+        "r", time=time, units={"P": "W", "T_amb": "K", "T_seen": "K"}, P=0.4 * (seen - 300) + 50 * np.cos(time),
+        T_amb=np.full(100, 300.0), T_seen=seen,
+    )  # fmt: skip
+    fit = ce.estimate(model, data, noise=ce.Noise(T_seen=0.5), progress=False)
+    made = found(("quadratic_drag", "body", 0.01, None))
+    (one,) = made.effects
+    one = replace(one, parameters={"body.quadratic_drag.coefficient": one.amplitude})
+    told = told_as_one_law(replace(made, fit=fit, effects=(one,)))
+    assert told.verdict == "named"
+    words = "quadratic_drag at body and what G does there add up to a curve over speed, which keeps its sign"
+    assert any(text.startswith(words) for text in told.messages) == (not turned)

@@ -254,6 +254,20 @@ def test_nothing_is_called_missing_no_longer_where_fresh_data_swing(white):
     assert next_step(swings).startswith("look for what is missing in the fresh records")
 
 
+@pytest.mark.parametrize(("p", "confirmed"), [(0.3, True), (1e-9, False)])
+def test_louder_fresh_noise_takes_no_confirmation_back(white, p, confirmed):
+    """A lag that closed chi2/N from 5.8 to 2.35 was not confirmed, as noise 1.5 times as loud counted as a gap."""
+    gaps = white.gaps
+    own = replace(
+        gaps.estimation_after, gap=replace(gaps.estimation_after.gap, chi2_per_sample=1.0, samples=400)
+    )
+    before = replace(own, gap=replace(own.gap, chi2_per_sample=5.8))
+    after = replace(own, gap=replace(own.gap, chi2_per_sample=2.35), whiteness_p={"fresh": {"omega": p}})
+    sides = replace(gaps, estimation_after=own, validation_before=before, validation_after=after)
+    found = held_to_fresh_data(replace(white, verdict="named", confirmed=True, gaps=sides))
+    assert found.confirmed is confirmed
+
+
 def test_fresh_data_that_errors_of_the_parameters_explain_promise_no_more(white):
     gaps = white.gaps
     own = replace(gaps.estimation_after, gap=replace(gaps.estimation_after.gap, samples=28))
