@@ -14,6 +14,7 @@ from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import check_likelihood, chosen, whole
 from casadi_engine.posterior.box import Box
+from casadi_engine.posterior.comparison import compare
 from casadi_engine.posterior.drawing import OPTIMA, Drawing, Met
 from casadi_engine.posterior.drawn import Drawn
 from casadi_engine.posterior.left_out import SCATTER, with_all_data
@@ -256,3 +257,7 @@ def _check(fit: Any) -> None:
             )
     if fit.undetermined:
         raise _improper("; ".join(direction.text for direction in fit.undetermined))
+
+
+# the function has the name of its room: what stands beside it there is reached through it too
+posterior.compare = compare  # type: ignore[attr-defined]

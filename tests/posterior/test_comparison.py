@@ -41,3 +41,7 @@ def test_only_posteriors_of_the_same_records_are_compared(post, run_up):
     changed = replace(post.fit, traces={"run_up": {"omega": noisy}})
     with pytest.raises(PosteriorError, match="different records"):
         compare({"one": post, "two": replace(post, fit=changed)})
+
+
+def test_it_is_reached_through_the_function_of_the_same_name():
+    assert ce.posterior.compare is compare
