@@ -603,7 +603,7 @@ class Choice:
         if fit is not None and (
             not fit.converged
             or impossible(tried.effects, fit.values, self.refitter.model, self.refitter.data)
-            or more_than_whole(tried.effects, fit.values)
+            or more_than_whole(tried.effects, fit.values, fit.stderr)
         ):
             fit = None  # the gain or delay was a possible one where the refit ended
         if fit is not None:

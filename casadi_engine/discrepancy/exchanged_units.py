@@ -22,6 +22,8 @@ _MISREAD = (-1.0, 2.0, 4.0)
 # Share of its signal with which a sensor may lag: with all of it, but for errors; where these are larger, a delay does
 # as well.
 LAG, _WHOLE = "sensor_lag", 1.1
+# Standard errors by which it does so clearly.
+_CLEARLY = 2.0
 # Effects by which an input is late, with all of it but for errors and for what else is missing.
 BEHIND = ("input_lag", "input_delay")
 # All by which a channel is late.
@@ -76,11 +78,20 @@ def is_shortest(one: Addition, values: Mapping[str, float]) -> bool:
     )
 
 
-def more_than_whole(effects: Sequence[Addition], values: Mapping[str, float]) -> bool:
-    """True of a sensor that would lag with clearly more than all of its signal: none does, but a delay, and a filter of
-    a higher order, are nearly that."""
-    lags = (one for one in effects if one.candidate.effect == LAG)
-    return any(values.get(one.amplitude, 0.0) > _WHOLE for one in lags)
+def more_than_whole(
+    effects: Sequence[Addition], values: Mapping[str, float], errors: Mapping[str, float | None]
+) -> bool:
+    """True of a sensor that would lag with clearly more than all of its signal, beyond errors too: none does, but a
+    delay, and a filter of a higher order, are nearly that."""
+    for one in effects:
+        beyond = values.get(one.amplitude, 0.0) - 1
+        if (
+            one.candidate.effect == LAG
+            and beyond > _WHOLE - 1
+            and beyond > _CLEARLY * (errors.get(one.amplitude) or 0.0)
+        ):
+            return True
+    return False
 
 
 def impossible_gain(effects: Sequence[Addition], values: Mapping[str, float], model: Model) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import compress
-from casadi_engine.discrepancy.exchanged_units import BEHIND
+from casadi_engine.discrepancy.exchanged_units import BEHIND, LAG
 from casadi_engine.discrepancy.linear_algebra import basis, without
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
@@ -45,8 +45,8 @@ _INTERVALS = 400
 # Rise of chi-squared at which a smaller amplitude is as good; times that it is made smaller, by half at first, and by
 # as much as this while nothing rises.
 _CONTENT, _HALVINGS, _FASTEST = 1.0, 16, 256.0
-# Rise of chi-squared at which all of an input is late, as it is but for what nobody builds: two standard errors; and
-# part of the shortest time that is searched which it may then have.
+# Rise of chi-squared at which all of an input or a sensor is late, as it is but for what nobody builds: two standard
+# errors; and part of the shortest time that is searched which an input may then have.
 _ALL, _SHORTER = 4.0, 0.1
 
 
@@ -207,11 +207,11 @@ class Refitter:
         return any(getattr(self.rounded(one), "width", None) is not None for one in effects)
 
     def _with_all(self, fit: Fit, effects: Sequence[Addition]) -> Fit:
-        """The fit with all of each input late that is late, where the data are content: the share by which it is so and
-        the time are hardly told from each other where that is short."""
+        """The fit with all of each input late that is late, and of each sensor that lags, where the data are content:
+        the share by which it is so and the time are hardly told from each other where that is short."""
         for one in effects:
             share = fit.estimates.get(one.amplitude)
-            if one.candidate.effect not in BEHIND or share is None or share.fixed:
+            if one.candidate.effect not in (LAG, *BEHIND) or share is None or share.fixed:
                 continue
             whole = self._late_by_all(fit.model, fit.parameters.copy(), one, Start.of(fit))
             if whole is not None and whole.converged and merit(whole) <= merit(fit) + _ALL:
@@ -230,7 +230,7 @@ class Refitter:
     def _late_by_all(self, model: Model, pars: Parameters, one: Addition, start: Start) -> Fit | None:
         time = pars[f"{one.key}.time"]
         pars.fix(one.amplitude, 1.0)
-        time.set(min=_SHORTER * time.min)
+        time.set(min=(_SHORTER if one.candidate.effect in BEHIND else 1.0) * time.min)
         fit = self._try(model, pars, start)
         if (
             fit is not None and not fit.converged and math.isfinite(fit.cost)

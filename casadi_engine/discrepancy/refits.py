@@ -299,7 +299,7 @@ class Refits:
         tried.lost = lost
         self._hold_late([tried])
         tried.weigh(self.levels)
-        if more_than_whole(effects, arrived.values):
+        if more_than_whole(effects, arrived.values, tried.evidence.error):
             self.filters[key_of(effects)] = tried
             return None
         tried.failed = self.named_alone and tried.is_curve

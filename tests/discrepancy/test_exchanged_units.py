@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.exchanged_units import exchanges, impossible, impossible_gain
+from casadi_engine.discrepancy.exchanged_units import exchanges, impossible, impossible_gain, more_than_whole
 from casadi_engine.effects.protocol import Grid
 
 
@@ -144,3 +144,15 @@ def test_an_input_is_late_with_all_of_it(effect, share, time, told):
     )
     data = [SimpleNamespace(duration=10.0)]
     assert impossible([one], {one.amplitude: share, "input_u.time": time}, None, data) is told
+
+
+@pytest.mark.parametrize(
+    ("share", "error", "clearly"),
+    [(1.05, 0.001, False), (1.14, 0.083, False), (1.3, 0.083, True), (1.3, None, True)],
+)
+def test_a_sensor_lags_with_more_than_all_of_its_signal_where_its_error_says_so(share, error, clearly):
+    """A thermocouple's lag of 60 s had come out with 1.14 +- 0.08 of the signal, and as a filter of higher order."""
+    one = SimpleNamespace(candidate=SimpleNamespace(effect="sensor_lag"), amplitude="share")
+    assert more_than_whole([one], {"share": share}, {"share": error}) is clearly
+    other = SimpleNamespace(candidate=SimpleNamespace(effect="input_lag"), amplitude="share")
+    assert not more_than_whole([other], {"share": share}, {"share": error})
