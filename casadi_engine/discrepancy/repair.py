@@ -361,9 +361,9 @@ class _Job:
             return self._no_answer(null_fit, alpha, why, UNRESOLVED)
         left = _not_searched(search, made)
         felt = search.refits.rounding_felt(search.chosen.effects)
-        made = with_errors_of_rounding(
-            told_as_one_law(made), felt, search.refits.path.moved, ended=bool(left)
-        )
+        with self.deadline.spared(1.0), suppress(TimeUp):
+            made = told_as_one_law(made)
+        made = with_errors_of_rounding(made, felt, search.refits.path.moved, ended=bool(left))
         made = with_hint(replace(made, stopped=self._by if left else "", not_searched=left), self.misread)
         with self.deadline.spared(1.0), suppress(TimeUp), Deadline(work=_AGAIN * work):
             made = with_wider_bounds(made, self.parameters, self.noise, options)
