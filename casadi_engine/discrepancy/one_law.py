@@ -80,7 +80,7 @@ def _beside_own_terms(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
         return ""
     return (
         f"{own[0].name} at {at} and what {' and '.join(terms)} does there add up to a curve over {signal}, which keeps "
-        "its sign in the records: their ± hold for these two laws alone"
+        "its sign in the records: their ± hold for these laws alone"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
@@ -12,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import compress
 from casadi_engine.discrepancy.exchanged_units import BEHIND, LAG
@@ -213,7 +215,9 @@ class Refitter:
             share = fit.estimates.get(one.amplitude)
             if one.candidate.effect not in (LAG, *BEHIND) or share is None or share.fixed:
                 continue
-            whole = self._late_by_all(fit.model, fit.parameters.copy(), one, Start.of(fit))
+            whole = None
+            with suppress(TimeUp):  # there is a fit
+                whole = self._late_by_all(fit.model, fit.parameters.copy(), one, Start.of(fit))
             if whole is not None and whole.converged and merit(whole) <= merit(fit) + _ALL:
                 fit = whole
         return fit

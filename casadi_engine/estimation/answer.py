@@ -391,13 +391,11 @@ def _noise_words(
             )
     for own in varied:
         keys = " and ".join(f"{search.records[own.at].experiment.name}/{name}" for name in own.outputs)
-        how = "grows or falls with what the sensor shows" if own.grows else "changes along the record"
-        what = f"the size of the residual of {keys} {how}: samples count alike"
+        how = "depends on what the sensor shows" if own.grows else "changes along the record"
+        what = f"the size of the residual of {keys} {how}, and the fit weights all samples alike"
         if own.step:
-            what = (
-                f"{keys} reads in steps of {own.step:.3g}, most of its noise, which come back with the motion"
-            )
+            what = f"{keys} is read in steps of {own.step:.3g}: rounding is most of its noise and depends on the motion"
         if len(own.outputs) > 1:
-            what = f"the residuals of {keys} go together (they correlate by {own.share:.2f})"
-        found.append(f"{what}, and {then}")
+            what = f"the residuals of {keys} are correlated ({own.share:.2f})"
+        found.append(f"{what}; {then}")
     return list(dict.fromkeys(found))

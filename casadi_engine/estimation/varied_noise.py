@@ -8,7 +8,8 @@ themselves: the sum over samples of slopes times squared residuals, each over wh
 is determined by the signal and comes back with it: B is found by rounding the simulation, moved within its errors.
 
 Source: White, Econometrica 48 (1980) 817; MacKinnon & White, J. Econometrics 29 (1985) 305 (their HC3); the test is
-that of Breusch & Pagan, Econometrica 47 (1979) 1287.
+that of Breusch & Pagan, Econometrica 47 (1979) 1287, with the scatter of the squares where it is larger than of normal
+noise.
 """
 
 from __future__ import annotations
@@ -29,16 +30,19 @@ from casadi_engine.simulation.grid import Measured
 
 Array = NDArray[np.float64]
 
-# How rarely chance makes normal noise of one size look otherwise, once in two hundred records; and two residuals go
-# together, in standard errors, as rarely as neighbours of one do; fewest samples to say so.
+# How rarely chance makes normal noise of one size look otherwise, once in two hundred records; correlation of two
+# residuals, in standard errors, that is as rare as that of neighbours of one; fewest samples to say so.
 _RARE, _TOGETHER, _FEW = 5e-3, 3.2, 15
 # Noise beside the rounding, in steps, from which on it hides what rounding does: the first harmonic of the mean error
 # falls as exp(-2 (pi s)^2), to 0.7 % here (Widrow & Kollar, Quantization Noise, 2008); drawings of it.
 _HIDDEN, _DRAWS = 0.5, 100
+# Samples that are drawn at most, but for so many drawings of a long record.
+_SAMPLES, _FEWEST = 10_000_000, 20
 # Size of a residual, in its level, below which errors that count with the level are larger than any it may ask for.
 _LOUD = 0.5
-# Share of a sample's own residual that estimates may take at most, for what is left to tell its size.
-_TAKEN = 0.9
+# Share of a sample's own residual that estimates may take at most, for what is left to tell its size; least variance
+# of a sample, as a share of the mean.
+_TAKEN, _LEAST = 0.9, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +110,7 @@ def _beside(residual: Array, step: float) -> float:
 
 
 def _goes_with(r: Array, course: Array) -> float:
-    """How often chance makes the squares of normal white noise (n,) go as much with a course and its square."""
+    """How often chance makes the squares of white noise (n,) depend as much on a course and its square."""
     spread = float(np.ptp(course))
     if not spread > 0:
         return 1.0
@@ -117,7 +121,11 @@ def _goes_with(r: Array, course: Array) -> float:
     if not level > 0:
         return 1.0
     told = columns @ np.linalg.lstsq(columns, squares, rcond=None)[0]
-    return float(chi2_sf(float(told @ told) / (2 * level**2), 2))
+    own = r**2 / np.maximum(level + told, _LEAST * level)
+    spread = max(
+        2.0, float(np.var(own)) / float(np.mean(own)) ** 2
+    )  # 2 of normal noise, more where tails are heavy
+    return float(chi2_sf(float(told @ told) / (spread * level**2), 2))
 
 
 def _correlation(
@@ -151,13 +159,14 @@ def by_rounding(measured: Array, residual: Array, slopes: Array, errors: Array, 
     values, vectors = np.linalg.eigh(errors)
     root = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     scatter = math.sqrt(_beside(residual, step))
-    for _ in range(_DRAWS):
+    count = int(np.clip(_SAMPLES / len(measured), _FEWEST, _DRAWS))
+    for _ in range(count):
         shown = measured + residual + root @ random.standard_normal(root.shape[1])
         seen = shown + scatter * random.standard_normal(len(shown))
         read = measured[0] + step * np.round((seen - measured[0]) / step)
         pull = slopes.T @ (read - shown)
         found += np.outer(pull, pull)
-    return found / _DRAWS
+    return found / count
 
 
 def together(share: float, one: Array, other: Array) -> Array:
