@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from casadi_engine.cli.drawn import FILES, check_files, draw, remove_earlier
 from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NO_ANSWER, Job, complain, run, say
 from casadi_engine.cli.options import (
     Data,
@@ -26,6 +29,14 @@ from casadi_engine.cli.work import estimate_job, fitting, say_answer, say_where,
 if TYPE_CHECKING:
     from casadi_engine.estimation.fit import Fit
 
+Posterior = Annotated[
+    bool,
+    typer.Option(
+        "--posterior",
+        help="Draw the distribution of the parameters too, for errors that no ± describes (seconds to minutes).",
+    ),
+]
+
 
 def fit(
     problem: ProblemFile,
@@ -38,12 +49,13 @@ def fit(
     seed: Seed = 0,
     jobs: Jobs = 1,
     debug: Debug = False,
+    posterior: Posterior = False,
 ) -> None:
     """Estimate the free parameters of a problem from its records.
 
     The residual tests are made on the validation records, or on the fitted ones if there are none.
     """
-    run(Options.collect("fit", locals()), _work)
+    run(Options.collect("fit", locals(), extra=("posterior",)), _work)
 
 
 def _with_doubts(job: Job, found: Fit) -> Fit:
@@ -75,6 +87,7 @@ def _with_doubts(job: Job, found: Fit) -> Fit:
 def _work(job: Job) -> int:
     from casadi_engine import validation
 
+    check_files(job)
     records = job.problem.load_records()
     fresh = fitting(job, job.problem.load_validation())  # a fault in these files shows before the long work
     found = _with_doubts(job, estimate_job(job, records, job.problem.parameters))
@@ -87,6 +100,7 @@ def _work(job: Job) -> int:
         except Exception:
             write_answer(job, found)  # the fit is not lost with its tests
             raise
+    remove_earlier(job)
     write_answer(job, found, check=check)
     say_answer(job, found, tested=check.passed if fresh and check is not None else None)
     if check is not None:
@@ -96,11 +110,14 @@ def _work(job: Job) -> int:
             say(
                 "Tested on the records it was fitted to: that proves little; give fresh ones by --validate FILE"
             )
-    say_where(job)
     if stopped:
+        say_where(job)
         complain("fit", f"interrupted in the residual tests; the fit itself is in {job.folder}")
         return INTERRUPTED
     if found.converged:
-        return ANSWERED
+        code = draw(job, found) if job.options.extra["posterior"] else ANSWERED
+        say_where(job, *(FILES if job.options.extra["posterior"] and code == ANSWERED else ()))
+        return code
+    say_where(job)
     complain("fit", f"no answer: {found.status}; the best point so far is in {job.folder}")
     return INTERRUPTED if found.status == "interrupted" else NO_ANSWER

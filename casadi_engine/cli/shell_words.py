@@ -11,11 +11,14 @@ _SPOKEN = ("Next: ", "Note: ")
 _IN_PYTHON = "in Python"
 
 
-def in_shell(text: str, *, problem: Path, folder: Path | None, tested: bool | None = None) -> str:
+def in_shell(
+    text: str, *, problem: Path, folder: Path | None, tested: bool | None = None, repaired: bool = False
+) -> str:
     """The text of a result with its notes and next steps in the words of the command line.
 
     problem : the problem file; folder : of the result that holds the values, None where the problem file does; tested :
-    whether the tests on fresh records passed, None where there were none
+    whether the tests on fresh records passed, None where there were none; repaired : whether the fit is one of a
+    repaired model, which `casadi-engine fit` does not know
     """
     from casadi_engine.estimation.summary import wrapped
 
@@ -25,7 +28,7 @@ def in_shell(text: str, *, problem: Path, folder: Path | None, tested: bool | No
             said += paragraph
             continue
         words = " ".join(line.strip() for line in paragraph)
-        for phrase, others in _phrases(problem, folder, tested):
+        for phrase, others in _phrases(problem, folder, tested, repaired):
             words = re.sub(phrase, others, words)
         said += wrapped(words, "      ")
     return "\n".join(said)
@@ -45,13 +48,16 @@ def _paragraphs(lines: list[str]) -> list[list[str]]:
 
 
 def _phrases(
-    problem: Path, folder: Path | None, tested: bool | None
+    problem: Path, folder: Path | None, tested: bool | None, repaired: bool
 ) -> list[tuple[str, str | Callable[[re.Match[str]], str]]]:
     """Patterns, and what stands in their place."""
 
     def command(name: str, more: str = "") -> str:
         source = "" if folder is None else f" --from {folder}"
         return f"casadi-engine {name} {problem}{source}{more}"
+
+    def posterior(said: re.Match[str]) -> str:
+        return f"{said[1]}, {_IN_PYTHON}" if repaired else f"casadi-engine fit {problem} --posterior"
 
     validate, simulate = command("validate", " --data FRESH.csv"), command("simulate")
     fresh = {
@@ -70,7 +76,7 @@ def _phrases(
         (r"look at the curves: ce\.plot\(profile\)", "look at the curves in report.html"),
         (r"repeat with starts=(\d+)", r"repeat with starts=\1 in the problem file"),
         (r", starts=8,", ", starts=8 in the problem file,"),
-        (r"print\((ce\.posterior\((?:repair\.)?fit\))\)", rf"\1, {_IN_PYTHON}"),
+        (r"(?:print\()?(ce\.posterior\((?:repair\.)?fit\))\)?", posterior),
         (r"(ce\.estimate\([^()]*\))", rf"\1, {_IN_PYTHON}"),
         (r"(\d+) more in repair\.messages", r"\1 more in result.json, messages"),
         (r"repair\.fit is the best model", "result.json holds the best model"),

@@ -142,7 +142,9 @@ def say_answer(job: Job, answer: Any, *, tested: bool | None = None, source: Pat
     from casadi_engine.validation import Validation
 
     folder = source if isinstance(answer, Validation) else job.folder
-    say(in_shell(str(answer), problem=job.options.problem, folder=folder, tested=tested))
+    options = job.options
+    repaired = options.command == "repair"
+    say(in_shell(str(answer), problem=options.problem, folder=folder, tested=tested, repaired=repaired))
 
 
 def say_where(job: Job, *others: str) -> None:

@@ -37,12 +37,21 @@ def shown(text, **how):
         ),
         (
             "Next: the errors that the data do tell: print(ce.posterior(fit))",
-            "Next: the errors that the data do tell: ce.posterior(fit), in Python",
+            "Next: the errors that the data do tell: casadi-engine fit rig.py --posterior",
+        ),
+        (
+            "Note: the errors of J1 are not known, call ce.posterior(fit)",
+            "Note: the errors of J1 are not known, call casadi-engine fit rig.py --posterior",
         ),
     ],
 )
 def test_the_next_step_is_one_of_the_shell(said, expected):
     assert shown(said) == expected
+
+
+def test_a_fit_of_the_problem_file_is_not_that_of_a_repaired_model():
+    said = shown("Next: its errors: print(ce.posterior(repair.fit))", repaired=True)
+    assert said == "Next: its errors: ce.posterior(repair.fit), in Python"
 
 
 def test_what_was_just_tested_is_not_asked_for_again():
