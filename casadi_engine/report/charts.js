@@ -60,10 +60,12 @@
     ctx.fillStyle = css(mark.color);
     if (mark.kind === "fill_between") {
       const [x, low, high] = [mark.x, mark.low, mark.high].map(numbers);
+      ctx.globalAlpha = mark.alpha;
       ctx.beginPath();
       x.forEach((v, k) => ctx.lineTo(pixel(u, v, "x"), pixel(u, high[k], "y")));
       for (let k = x.length - 1; k >= 0; k--) ctx.lineTo(pixel(u, x[k], "x"), pixel(u, low[k], "y"));
       ctx.fill();
+      ctx.globalAlpha = 1;
     } else if (mark.kind.endsWith("span")) {
       const upright = mark.kind === "axvspan", [a, b] = mark.at.map(v => pixel(u, v, upright ? "x" : "y"));
       if (upright) ctx.fillRect(a, box.top, b - a, box.height);

@@ -119,7 +119,8 @@ def _other(mark: Mark, numbers: Numbers) -> dict[str, Any]:
         return made | place | {"at": [x, y], "words": words}
     if mark.kind == "fill_between":
         x, low, high = mark.values
-        return made | {"x": numbers.add(x, exact=True), "low": numbers.add(low), "high": numbers.add(high)}
+        band = {"x": numbers.add(x, exact=True), "low": numbers.add(low), "high": numbers.add(high)}
+        return made | band | {"alpha": mark.style.get("alpha", 1.0)}
     return made | {"at": [one if math.isfinite(one) else None for one in mark.values]}
 
 

@@ -14,15 +14,16 @@ from casadi_engine.parameters import Parameters
 
 KINDS = "a Fit, a Validation, a Simulated, a Repair"
 # What report and plot also take.
-READ_BACK = ", a loaded Result"
+READ_BACK = ", a Posterior, a Comparison, a loaded Result"
 # What can be drawn, but has no page.
-DRAWN_ONLY = ", a Posterior, a Comparison, Modes, a Reduction, an Experiment, Orders, a Prediction"
+DRAWN_ONLY = ", Modes, a Reduction, an Experiment, Orders, a Prediction"
 # The modules that show the less common kinds; each needs the package that its results come from.
 OTHERS = (
     "identifiability_figures",
     "modes_figures",
     "orders_figures",
     "posterior_figures",
+    "posterior_page",
     "posterior_result",
     "prediction_figures",
     "repaired",

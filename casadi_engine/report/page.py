@@ -51,7 +51,8 @@ def report(
 
     A browser draws lines from the numbers in the page and zooms into them; without scripts static figures are shown.
 
-    result : a Fit, a Validation, a Simulated, a Repair, or a result that was loaded (what result.json holds: no traces)
+    result : a Fit, a Validation, a Simulated, a Repair, a Posterior, a Comparison, or a result that was loaded (what
+    result.json holds: no traces)
     validation : the Validation of a Fit, for its section of residual tests
     arguments : what the command was given, for the section on how it was made
 

@@ -325,7 +325,8 @@ def _band(frame: _Frame, mark: Mark, colour: str) -> list[str]:
         x, low, high = kept, np.interp(kept, x, low), np.interp(kept, x, high)
     across = frame.along("x", np.concatenate([x, x[::-1]]))
     path = _path(across, frame.along("y", np.concatenate([low, high[::-1]])))
-    return [f'<path d="{path}z" style="fill:{colour}"/>'] if path else []
+    through = f";fill-opacity:{mark.style['alpha']:g}" if "alpha" in mark.style else ""
+    return [f'<path d="{path}z" style="fill:{colour}{through}"/>'] if path else []
 
 
 def _bars(frame: _Frame, mark: Mark, colour: str) -> list[str]:

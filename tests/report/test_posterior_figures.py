@@ -106,3 +106,19 @@ def test_modes_are_named_in_the_key_and_room_is_left_for_the_fits_error_alone(po
     bare = replace(post, fit=replace(post.fit, estimates=without))
     tops = [ce.plot(one).axes[0].get_ylim()[1] for one in (post, bare)]
     assert tops[0] == pytest.approx(1.7 / 1.15 * tops[1])
+
+
+def test_a_page_of_its_own(post, tmp_path):
+    page = ce.report(post, tmp_path / "posterior.html").read_text(encoding="utf-8")
+    assert "<title>Posterior of" in page
+    assert page.count("<figure") >= 4
+    for word in ("Parameters", "What the draws foretell", "J_eng", *post.names):
+        assert word in page
+
+
+def test_a_page_of_a_comparison(post, tmp_path):
+    page = ce.report(compare({"one": post, "another": post}), tmp_path / "two.html").read_text(
+        encoding="utf-8"
+    )
+    assert "<title>Comparison of models" in page
+    assert page.count("<figure") == 1
