@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.error_check import CALL, UNEVEN, Doubt, doubts_of, growing, words_of
+from casadi_engine.estimation.error_check import CALL, UNEVEN, Doubt, doubts_of, entries_of, growing, words_of
 from casadi_engine.estimation.fit import Estimate, Optimum
 from casadi_engine.estimation.foreseen_ends import Rises
-from casadi_engine.estimation.profile_interval import LowerOptimumError, Profiles
+from casadi_engine.estimation.profile_interval import LowerOptimumError, Profiles, root_of
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
 
@@ -48,8 +48,9 @@ def judged(
     estimates, initial = errors.estimates(), errors.initial_estimates()
     doubts: tuple[Doubt, ...] = ()
     rises: dict[str, Rises] = {}
+    of_states: dict[int, Rises] = {}
     if check is not None:
-        doubts, rises = doubts_of(search, best, white, optima, residuals, wider=errors)
+        doubts, rises, of_states = doubts_of(search, best, white, optima, residuals, wider=errors)
     unchecked = growing(search, best) if check is not None and errors.optimal else None
     told = () if unchecked is None else (unchecked,)
     if not doubts or check is None:
@@ -79,16 +80,43 @@ def judged(
         if doubt is not None:
             interval = _through_ties(search, errors, name, slopes[name], ends)
             estimates[name] = _without_error(estimates[name], doubt, interval)
-    at = search.problem.nv
+    felt = [doubt for doubt in about.values() if doubt is not None]
+    felt += _states_judged(search, white, errors, doubts, of_states, initial, but_shape=bool(alike))
+    left = [name for name in free if about[name] is not None]
+    own = [doubt for doubt in doubts if any(doubt is one for one in felt)]
+    return Judged(estimates, initial, (*words_of(own, [name for name in left if name not in ends]), *told))
+
+
+def _states_judged(
+    search: Search,
+    white: Uncertainty,
+    errors: Uncertainty,
+    doubts: Sequence[Doubt],
+    rises: Mapping[int, Rises],
+    initial: dict[str, dict[str, Estimate]],
+    *,
+    but_shape: bool,
+) -> list[Doubt]:
+    """Take the errors of initial states that are doubted out of ``initial``; the doubts that did so."""
+    matrix, at, felt = white.covariance.matrix, search.problem.nv, []
+    low, high = (entries_of(search, x) for x in (search.lower, search.upper))
     for record, states in zip(search.records, initial.values(), strict=True):
         for k, (state, one) in enumerate(states.items()):
-            doubt = _of(doubts, np.eye(len(matrix))[at + k], matrix, but_shape=bool(alike))
-            if doubt is not None and one.stderr is not None:
-                states[state] = _without_error(one, doubt, None)
+            doubt = _of(doubts, np.eye(len(matrix))[at + k], matrix, but_shape=but_shape)
+            if doubt is None or one.stderr is None:
+                continue
+            felt.append(doubt)
+            risen, wide = rises.get(at + k), errors.covariance.matrix[at + k, at + k]
+            ends = None
+            if risen is not None and risen.are_mild and doubt.plain:
+                ends = risen.ends(root_of(search, white) * float(np.sqrt(wide)) / risen.size)
+            inside = ends is not None and low[at + k] < ends[0] and ends[1] < high[at + k]
+            scaled = (
+                tuple(float(end * record.scale[k]) for end in ends) if inside and ends is not None else None
+            )
+            states[state] = _without_error(one, doubt, scaled)  # type: ignore[arg-type]
         at += record.n
-    left = [name for name in free if about[name] is not None]
-    felt = [doubt for doubt in doubts if any(doubt is about[name] for name in with_error)]
-    return Judged(estimates, initial, (*words_of(felt, [name for name in left if name not in ends]), *told))
+    return felt
 
 
 def _foreseen(

@@ -1,7 +1,8 @@
 """Whether standard errors describe the likelihood: it is looked at two standard errors away from the optimum.
 
 The errors of a fit are those of a quadratic around it. Along a few directions, those that the data tell least of, the
-model is simulated at two standard errors to either side, the initial states at their best. Three numbers tell:
+model is simulated at two standard errors to either side, the initial states at their best; along all others at once,
+and where it bends there, along each of them. Three numbers tell:
 
 - the rise of chi-squared, which the quadratic says is 4;
 - the intrinsic curvature: how far the outputs leave their tangent, less what parameters and initial states could make
@@ -28,6 +29,7 @@ from casadi_engine.estimation.final_check import printed_cost, residual, respons
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.foreseen_ends import FAR, RISES, Rises
 from casadi_engine.estimation.growth import log_growth
+from casadi_engine.estimation.looked_along import along_parameters, along_states, together
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
@@ -35,8 +37,9 @@ from casadi_engine.estimation.uncertainty import chained_gradient
 
 Array = NDArray[np.float64]
 
-# Directions that are looked along.
-_DIRECTIONS = 3
+# Directions that are looked along; so many others are looked along at once, by twice two simulations, where there are
+# more of them.
+_DIRECTIONS, _FEWER = 3, 2
 # Relative error from which a parameter that is searched by its logarithm has no symmetric interval: the ends of what is
 # symmetric in the logarithm are then off by that share.
 _WIDE = 0.15
@@ -122,27 +125,29 @@ def doubts_of(
     residuals: Sequence[Array],
     *,
     wider: Uncertainty | None = None,
-) -> tuple[tuple[Doubt, ...], dict[str, Rises]]:
-    """What speaks against the standard errors at an optimum, and how chi-squared rises beside parameters.
+) -> tuple[tuple[Doubt, ...], dict[str, Rises], dict[int, Rises]]:
+    """What speaks against the standard errors at an optimum, and how chi-squared rises beside parameters, and beside
+    initial states by their entry in [v; initial states].
 
     errors : those of the likelihood; residuals : (K, M) of each record there, simulated from the printed values;
     wider : the errors that are printed, where they are larger
     """
     if not errors.optimal or not search.problem.nv or not np.isfinite(errors.covariance.matrix).all():
-        return (), {}
+        return (), {}, {}
     rises: dict[str, Rises] = {}
+    of_states: dict[int, Rises] = {}
     found = _rivals(search, best, errors, optima)
     found += _lost(search, errors, residuals)
     found += [] if found else _exchanged(search, errors)
     if growing(search, best) is None:
         around = _Around(search, best, errors, residuals)
-        for move in _moves(errors, search.problem.nv, 1 if around.long else _DIRECTIONS):
+        for move in around.directions():
             found += around.doubts(move)
         if all(doubt.profiles for doubt in found):
-            rises = around.rises(found)
+            rises, of_states = around.rises(found), around.state_rises(found)
             found += _uneven(search, errors, rises)
-    found += _bounds(search, wider or errors, rises)
-    return tuple(found), rises
+    found += _bounds(search, wider or errors, rises) + _state_bounds(search, wider or errors)
+    return tuple(found), rises, of_states
 
 
 def growing(search: Search, best: Attempt) -> str | None:
@@ -176,16 +181,7 @@ def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
     return said
 
 
-# ---- where to look
-
-
-def _moves(errors: Uncertainty, nv: int, count: int) -> list[Array]:
-    """Directions (N,), one standard error long, the initial states on their way with them; what is at a bound stays
-    there."""
-    matrix = errors.kept
-    values, vectors = np.linalg.eigh(matrix[:nv, :nv])
-    top = [k for k in np.argsort(values)[::-1][:count] if values[k] > 1e-12 * values[-1]]
-    return [matrix[:, :nv] @ vectors[:, k] / np.sqrt(values[k]) for k in top]
+# ---- around
 
 
 class _Around:
@@ -198,7 +194,7 @@ class _Around:
         self.cost = printed_cost(search, errors.v, residuals)
         nv, covariance = search.problem.nv, errors.covariance
         self.entries, self.lower, self.upper = (
-            _entries(search, x) for x in (errors.x, search.lower, search.upper)
+            entries_of(search, x) for x in (errors.x, search.lower, search.upper)
         )
         self._inverse = np.linalg.pinv(errors.kept[:nv, :nv], hermitian=True)
         # a long record's slopes are not kept: one direction has to do, and its initial state follows to first order
@@ -212,6 +208,27 @@ class _Around:
         self._to_printed = np.ones(len(self.entries))
         self._to_printed[:nv] = search.coordinates.slope(errors.v)
         self._radius = np.sqrt(chi2_isf(0.05, max(covariance.rank, 1)))
+
+    def directions(self) -> list[Array]:
+        """Those along which the likelihood may be no quadratic."""
+        moves = along_parameters(self.errors, self.search.problem.nv)
+        if self.long:
+            return moves[:1]
+        first, others = moves[:_DIRECTIONS], moves[_DIRECTIONS:] + along_states(self.search, self.errors)
+        straight = len(others) > _FEWER and not any(
+            self._bends(move, len(others)) for move in together(others)
+        )
+        return first if straight else first + others
+
+    def _bends(self, move: Array, count: int) -> bool:
+        """Whether the model bends along a direction that goes along so many others as if one of these did."""
+        sides = [min(FAR, _room(self.lower, self.upper, self.entries, side * move)) for side in (-1.0, 1.0)]
+        if min(sides) < _NEAR:
+            return True
+        there = [self._simulated(move, far, printed=False) for far in (-sides[0], sides[1])]
+        if there[0] is None or there[1] is None:
+            return True
+        return count * self._even(sides[0], sides[1], there[0][1], there[1][1]) > _FLAT
 
     def doubts(self, move: Array) -> list[Doubt]:
         """What is seen to both sides of the optimum.
@@ -254,16 +271,34 @@ class _Around:
 
     def rises(self, doubts: Sequence[Doubt]) -> dict[str, Rises]:
         """How chi-squared rises beside each parameter that is doubted, or whose logarithm and itself differ."""
-        search, matrix, found = self.search, self.errors.kept, {}
+        search, matrix = self.search, self.errors.kept
+        found: dict[str, Rises] = {}
         for k, name in enumerate(() if self.long else search.pmap.free):
             own, size = np.eye(1, len(matrix), k)[0], float(np.sqrt(matrix[k, k]))
             wide = search.coordinates.log[k] and size > UNEVEN / FAR
             if size and (wide or any(doubt.about(own, matrix) for doubt in doubts)):
-                move = matrix[:, k] / size
-                sides = [self._risen(move, far) for far in (-FAR, FAR)]
-                if all(sides):
-                    found[name] = Rises(float(self.errors.v[k]), size, *sides)
+                risen = self._rises(k, size)
+                found |= {} if risen is None else {name: risen}
         return found
+
+    def state_rises(self, doubts: Sequence[Doubt]) -> dict[int, Rises]:
+        """The same beside each initial state that is doubted, in which its record is not linear."""
+        matrix, at = self.errors.kept, self.search.problem.nv
+        found: dict[int, Rises] = {}
+        for record in () if self.long else self.search.records:
+            for k in range(at, at if record.linear else at + record.n):
+                own, size = np.eye(1, len(matrix), k)[0], float(np.sqrt(max(matrix[k, k], 0.0)))
+                if size and any(doubt.about(own, matrix) for doubt in doubts):
+                    risen = self._rises(k, size)
+                    found |= {} if risen is None else {k: risen}
+            at += record.n
+        return found
+
+    def _rises(self, k: int, size: float) -> Rises | None:
+        """How chi-squared rises beside an entry with this standard error; None where that is not to be had."""
+        move = self.errors.kept[:, k] / size
+        low, high = (self._risen(move, far) for far in (-FAR, FAR))
+        return Rises(float(self.entries[k]), size, low, high) if low and high else None
 
     def _risen(self, move: Array, far: float) -> float:
         """Rise of chi-squared over the quadratic's so far along a move; 0 where none is to be had."""
@@ -331,8 +366,12 @@ class _Around:
         a, b = -fars[0], fars[1]
         if not all(RISES[0] < one[0] / far**2 < RISES[1] for one, far in ((back, a), (forth, b))):
             return False
-        even = sum(float(np.sum((a * q + b * p) ** 2)) for p, q in zip(back[1], forth[1], strict=True))
-        return self._radius * 2 * float(np.sqrt(even)) / (a * b * (a + b)) < _FLAT
+        return self._even(a, b, back[1], forth[1]) < _FLAT
+
+    def _even(self, a: float, b: float, back: Sequence[Array], forth: Sequence[Array]) -> float:
+        """The curvature that the even part of the changes of the residuals is, a standard errors back and b forth."""
+        even = sum(float(np.sum((a * q + b * p) ** 2)) for p, q in zip(back, forth, strict=True))
+        return float(self._radius * 2 * np.sqrt(even)) / (a * b * (a + b))
 
     def _seen(self, move: Array, far: float, rise: float, change: list[Array]) -> tuple[float, float, Array]:
         """Rise of chi-squared over the quadratic's, curvature, and the standard errors (nv,) by which the best values
@@ -413,7 +452,7 @@ def _followed(record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, st
     return residual(record, outputs) + felt
 
 
-def _entries(search: Search, x: Array) -> Array:
+def entries_of(search: Search, x: Array) -> Array:
     """The parameters and initial states (N,) of variables (size,)."""
     return np.concatenate([x[: search.problem.nv], *[lay.take(x)[0] for lay in search.problem.layouts]])
 
@@ -437,10 +476,26 @@ def _room(lower: Array, upper: Array, entries: Array, move: Array) -> float:
 
 
 def _names_along(search: Search, move: Array) -> str:
-    """The free parameters that a direction moves most."""
-    own = np.abs(move[: search.problem.nv])
+    """The free parameters that a direction moves most; the initial states, where these are held."""
+    nv = search.problem.nv
+    if not move[:nv].any():
+        return _states_along(search, move[nv:])
+    own = np.abs(move[:nv])
     order = [k for k in np.argsort(-own) if own[k] > 0.2 * own.max()][:3]
     return ", ".join(search.pmap.free[k] for k in order)
+
+
+def _states_along(search: Search, move: Array) -> str:
+    """The initial states that a direction moves most, of those of a record."""
+    at = 0
+    for record in search.records:
+        own = np.abs(move[at : at + record.n])
+        if own.any():
+            order = [k for k in np.argsort(-own) if own[k] > 0.2 * own.max()][:3]
+            names = [state.name for k in order for state in record.model.states[k : k + 1]]
+            return f"the first {', '.join(names)} of {record.experiment.name}"
+        at += record.n
+    return "the first states"
 
 
 # ---- other optima, bounds
@@ -545,3 +600,19 @@ def _bounds(search: Search, errors: Uncertainty, rises: Mapping[str, Rises]) -> 
         elif size > (1 + _WIDE) * np.sqrt(max(kept[k, k], 0.0)):
             found.append((k, f"{name} goes with {' and '.join(resting)}, at a bound"))
     return [Doubt("bound", text, np.eye(len(matrix))[k]) for k, text in found]
+
+
+def _state_bounds(search: Search, errors: Uncertainty) -> list[Doubt]:
+    """Initial states whose interval of two standard errors reaches a bound."""
+    matrix, at, found = errors.covariance.matrix, search.problem.nv, []
+    here, low, high = (entries_of(search, x) for x in (errors.x, search.lower, search.upper))
+    for record in search.records:
+        for k, state in enumerate(record.model.states, start=at):
+            size = float(np.sqrt(max(matrix[k, k], 0.0)))
+            below = here[k] - FAR * size < low[k]
+            if size and errors.bound[k] is False and (below or here[k] + FAR * size > high[k]):
+                side = "lower" if below else "upper"
+                text = f"the first {state.name} of {record.experiment.name} reaches its {side} bound"
+                found.append(Doubt("bound", f"{text} within {FAR:g} standard errors", np.eye(len(matrix))[k]))
+        at += record.n
+    return found

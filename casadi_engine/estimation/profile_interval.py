@@ -36,6 +36,13 @@ class LowerOptimumError(Exception):
     """A refit ended below the optimum of the fit."""
 
 
+def root_of(search: Search, errors: Uncertainty) -> float:
+    """Standard errors to either side that a 95 % interval goes, by Student's t where a noise level is estimated."""
+    freedom = search.problem.samples - errors.covariance.rank
+    estimated = any(search.levels.estimated) and freedom > 0
+    return float(np.sqrt(f_isf(1 - LEVEL, 1, freedom) if estimated else chi2_isf(1 - LEVEL, 1)))
+
+
 class Profiles:
     """Intervals of the free parameters around an optimum.
 
@@ -52,10 +59,7 @@ class Profiles:
         begun = time.process_time()
         self.base = self._cost(best.solution.x)
         self._least = _EVALUATIONS * (time.process_time() - begun)
-        freedom = search.problem.samples - errors.covariance.rank
-        estimated = any(search.levels.estimated) and freedom > 0
-        beyond = 1 - LEVEL
-        self.root = float(np.sqrt(f_isf(beyond, 1, freedom) if estimated else chi2_isf(beyond, 1)))
+        self.root = root_of(search, errors)
         self.stretch = stretch
         self.seconds, self._spent, self._done = seconds, 0.0, 0
         self._left, self._ended = 0, 0  # sides of a parameter that are to be found, and of all that were

@@ -318,6 +318,8 @@ def initial_words(fit: Fit, record: str) -> str:
             text += " (fixed)"
         elif estimate.at_bound:
             text += f" (at its {BOUND_WORDS[estimate.at_bound]} bound)"
+        elif estimate.interval is not None:
+            text += f" ({with_interval(*estimate.interval)})"
         elif estimate.stderr is None and estimate.quadratic is None:  # what is doubted has a note of its own
             text += f" (no error: {estimate.why or 'not known'})"
         words.append(text)

@@ -15,6 +15,9 @@ from casadi_engine.simulation.tableau import Tableau
 SMALL = 1e-8
 # Rounding of a stage, relative to the largest state: that of a linear system whose step spans 1e3 time constants.
 ROUNDING = 1e-11
+# Distance of a root from where the first iteration leads, in lengths of that iteration, up to which it is the one that
+# belongs to where it began; and what is not looked at, as a share of the state.
+NEAR, SEEN = 0.5, 0.01
 # Iterations of the machine: between corners two or three suffice, and long steps take five.
 _FIXED = 6
 
@@ -37,12 +40,29 @@ def _step(slope: StageSlope, scheme: Tableau) -> ca.Function:
     known = ca.MX.sym("known", rows * len(nodes))
     system, judge = _system(slope, scheme, nodes), _judge(n, size)
     stages, before, arrived = ca.repmat(x, size, 1), ca.MX(np.full(n * size, np.inf)), ca.MX(0)
-    for _ in range(_FIXED):
+    first = ca.MX(np.full(n * size, np.nan))
+    for iteration in range(_FIXED):
         matrix, residual, fine = system(x, stages, known, z)
         # what is not finite never arrives, whatever a solver makes of it
         change = ca.if_else(fine, -ca.solve(matrix, residual, "qr"), np.nan)
+        first = first if iteration else change
         stages, before, arrived = judge(x, stages, change, before, arrived)
+    arrived = ca.logic_and(arrived, _near(n, size)(x, stages, first))
     return ca.Function("newton_step", [x, known, z], [stages[-n:], stages, arrived])
+
+
+def _near(n: int, size: int) -> ca.Function:
+    """(x, stages, first change) -> whether the stages moved about as the first iteration asked for (`stage_newton`)."""
+    x, stages, first = ca.SX.sym("x", n), ca.SX.sym("stages", n * size), ca.SX.sym("first", n * size)
+    begun = ca.repmat(x, size, 1)
+    off = ca.fabs(stages - begun - first)
+
+    def largest(of: ca.SX) -> ca.SX:
+        return ca.vertcat(*[ca.mmax(of[k::n]) for k in range(n)])
+
+    room = NEAR * largest(ca.fabs(first)) + SEEN * (largest(ca.fabs(stages)) + ca.fabs(x))
+    leapt = ca.logic_and(largest(stages * begun < 0), largest(off > SEEN * ca.fabs(first)))
+    return ca.Function("near", [x, stages, first], [ca.sum1(ca.logic_or(largest(off) > room, leapt)) < 1])
 
 
 def _system(slope: StageSlope, scheme: Tableau, nodes: list[float]) -> ca.Function:

@@ -6,18 +6,17 @@ few intervals, or of one long simulation, by CasADi's virtual machine, which nee
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.deadline import ask
 from casadi_engine.simulation.jets import Array
-from casadi_engine.simulation.newton_machine import ROUNDING, SMALL, newton_steps
+from casadi_engine.simulation.newton_machine import newton_steps
+from casadi_engine.simulation.stage_newton import stages_of
 from casadi_engine.simulation.stage_slope import StageSlope
 from casadi_engine.simulation.step_layout import StepLayout
-from casadi_engine.simulation.tableau import Tableau, newton_step
+from casadi_engine.simulation.tableau import Tableau
 from casadi_engine.simulation.tape import ArrayFunction
 
 # From this number of intervals on, array operations step all of them faster than CasADi's machine does.
@@ -30,11 +29,6 @@ _SWEEP = 256
 _WIDE_IMPLICIT, _SWEEP_IMPLICIT = 10, 32
 # Such steps that may be left to the arrays: so many, and one of so many steps; with more of them all are.
 _LEFT, _LEFT_OF = 8, 16
-# Newton's method: most iterations; share of what is asked for below which it goes nowhere; part of a share by which the
-# residual has to fall.
-_ITERATIONS, _LEAST, _LESS = 200, 1e-12, 0.1
-# Units of work that one iteration costs, however few steps there are.
-_CALL = 200
 
 
 class Sweeps:
@@ -97,17 +91,10 @@ class Sweeps:
         for own, after in layout:
             x = begun[:, own]
             given = np.concatenate([known[:, own] for known in self.known], axis=-1)
-            still = np.repeat(x[None], size, axis=0)
-            found = solve_stages(self.scheme, function, x, still if near is None else near[:, :, own], given)
-            lost = ~np.isfinite(found[-1]).all(axis=0)
-            if near is not None and lost.any():
-                rest = np.tile(lost, size)
-                found[..., lost] = solve_stages(
-                    self.scheme, function, x[:, lost], still[..., lost], given[:, rest]
-                )
+            found = stages_of(self.scheme, function, x, given, None if near is None else near[:, :, own])
             stages[:, :, own] = found
             begun[:, after] = found[-1]
-        self._before = stages if np.isfinite(stages).all() else None
+        self._before = stages
         return begun, stages
 
     def _in_turn(self, z: Array, begun: Array) -> tuple[Array, Array]:
@@ -161,8 +148,7 @@ class Sweeps:
         """One step by as many iterations as it takes; False where these do not arrive."""
         own, x = ends[:1], begun[:, ends[:1]]
         given = np.concatenate([known[:, own] for known in self.known], axis=-1)
-        guess = np.repeat(x[None], self.scheme.stages, axis=0)
-        found = solve_stages(self.scheme, self.slope.newton.bound(z), x, guess, given)
+        found = stages_of(self.scheme, self.slope.newton.bound(z), x, given)
         stages[:, :, own], begun[:, ends[1:]] = found, found[-1]
         return bool(np.isfinite(found).all())
 
@@ -193,75 +179,6 @@ def _stacked(parts: list[Array]) -> Array:
     return np.stack([part.transpose(1, 2, 0) for part in parts]).transpose(0, 3, 1, 2)
 
 
-@np.errstate(all="ignore")  # what does not arrive has no numbers
-def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, given: Array) -> Array:
-    """Stage values (stages, n, K) of implicit steps from x (n, K), NaN for those where Newton's method does not arrive.
-
-    A step that goes across a corner (friction that begins to stick) is damped: where the residual is no smaller, half
-    of what was asked for is taken (Deuflhard, Newton Methods for Nonlinear Problems, 2004, section 3.1).
-
-    function : (stage values (n, stages*K), known (rows, stages*K)) -> slopes and their derivatives, z put in
-    """
-    size, _, count = guess.shape
-    found = np.full(guess.shape, np.nan)
-    known = given.reshape(len(given), size, count)
-    # of the steps that have not arrived: where they are, what was asked for there, and how far that is gone
-    left = np.flatnonzero(np.isfinite(x).all(axis=0))
-    stages = guess[..., left]
-    base, change = stages, np.full(stages.shape, np.inf)
-    norm, share = np.full(len(left), np.inf), np.ones(len(left))
-    own, rest = x[:, left], known[..., left]
-    for _ in range(_ITERATIONS):
-        if not len(left):
-            break
-        ask(_CALL + size * len(left))
-        asked, off = _asked(scheme, function, own, stages, rest)
-        moved = np.abs(asked)
-        largest = np.abs(stages).max(axis=0) + np.abs(own)
-        # What has decayed is known to the rounding of the states that it follows from: there it moves to and fro.
-        rests = (moved >= 0.5 * np.abs(change)) & (moved <= ROUNDING * largest.max(axis=0))
-        arrived = (rests | (moved <= SMALL * largest + 1e-30)).all(axis=(0, 1))
-        found[..., left[arrived]] = (stages + asked)[..., arrived]
-        nearer = off < (1 - _LESS * share) * norm
-        if nearer.all():
-            base, change, norm = stages, asked, off
-            share = np.minimum(2 * share, 1.0)
-        else:
-            share = np.where(nearer, np.minimum(2 * share, 1.0), 0.5 * share)
-            base, change, norm = (
-                np.where(nearer, new, old) for new, old in ((stages, base), (asked, change), (off, norm))
-            )
-        on = ~arrived & (share > _LEAST)
-        if not on.all():
-            left, base, change, norm, share = left[on], base[..., on], change[..., on], norm[on], share[on]
-            own, rest = own[:, on], rest[..., on]
-        stages = base + share * change
-    return found
-
-
-def _asked(scheme: Tableau, function: object, x: Array, stages: Array, known: Array) -> tuple[Array, Array]:
-    """The change (stages, n, K) that Newton's method asks for, NaN where it has none, and the norms (K,) of the
-    residuals, infinite there."""
-    size, n, count = stages.shape
-    columns = stages.transpose(1, 0, 2).reshape(n, -1)
-    value, slope = function(columns, known.reshape(len(known), size * count))  # type: ignore[operator]
-    value = value.reshape(n, size, count).transpose(1, 0, 2)
-    residual = stages - x - (scheme.a @ value.reshape(size, n * count)).reshape(stages.shape)
-    by_x = slope.reshape(n, n, size, count).transpose(2, 3, 1, 0)
-    norm = np.sqrt(np.einsum("snk,snk->k", residual, residual))
-    if np.isfinite(norm).all() and np.isfinite(slope).all():
-        with suppress(np.linalg.LinAlgError):
-            return newton_step(scheme, by_x, residual.transpose(0, 2, 1)).transpose(0, 2, 1), norm
-    fine = np.isfinite(residual).all(axis=(0, 1)) & np.isfinite(by_x).all(axis=(0, 2, 3))
-    asked = np.full(stages.shape, np.nan)
-    try:
-        made = newton_step(scheme, by_x[:, fine], residual[..., fine].transpose(0, 2, 1))
-    except np.linalg.LinAlgError:
-        return asked, np.full(count, np.inf)
-    asked[..., fine] = made.transpose(0, 2, 1)
-    return asked, np.where(fine, norm, np.inf)
-
-
 def advance(
     slope: StageSlope,
     scheme: Tableau,
@@ -284,9 +201,7 @@ def advance(
         made = {c: slope.known(low, high, time, length, c, which) for c in nodes}
         if scheme.implicit:
             given = np.concatenate([made[c] for c in scheme.c.tolist()], axis=-1)
-            guess = np.repeat(x[None], scheme.stages, axis=0)
-            found = solve_stages(scheme, lambda s, g: slope.newton(s, g, z), x, guess, given)
-            x = found[-1]
+            x = stages_of(scheme, lambda s, g: slope.newton(s, g, z), x, given)[-1]
         else:
             x = _array_step(slope, scheme)(x, np.concatenate(list(made.values())), z)[0]
     return x

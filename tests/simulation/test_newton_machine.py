@@ -52,13 +52,13 @@ def test_every_step_is_that_of_newtons_method_by_arrays(made, monkeypatch, width
     monkeypatch.setattr(newton_machine, "_FIXED", iterations)
     steps, begun = laid(made, width, length)
     wanted, stages = steps._newton(VALUES, begun.copy())
-    real, asked = sweeps.solve_stages, []
-    monkeypatch.setattr(sweeps, "solve_stages", lambda *given: asked.append(1) or real(*given))
+    real, asked = sweeps.stages_of, []
+    monkeypatch.setattr(sweeps, "stages_of", lambda *given: asked.append(1) or real(*given))
     found, at_stage = steps._in_turn(VALUES, begun.copy())
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13)
     np.testing.assert_allclose(at_stage, stages, rtol=0, atol=1e-13)
-    if iterations == 6:
-        assert not asked
+    if iterations == 6:  # a step over a sharp bend is looked at by itself
+        assert len(asked) <= (0 if width == 0.1 else 2)
     elif width == 0.1:
         assert asked
     assert steps._bent == (iterations == 1)

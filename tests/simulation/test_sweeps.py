@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
 
-from casadi_engine.simulation.sweeps import solve_stages
+from casadi_engine.simulation.stage_newton import solve_stages, stages_of
 from casadi_engine.simulation.tableau import RADAU
 
 
@@ -22,7 +24,7 @@ def test_a_step_over_many_time_constants_arrives():
     """What the stages of a decayed state hold is rounding of the other one; they are right to that."""
     a = 595.0 * np.array([[0.0, 1.0], [-2.0, -0.4]])
     x = np.array([[0.3, 1e-3], [-0.2, 1e-9]])
-    stages = solve_stages(RADAU, linear(a), x, np.repeat(x[None], 3, axis=0), np.zeros((0, 6)))
+    stages, *_ = solve_stages(RADAU, linear(a), x, np.repeat(x[None], 3, axis=0), np.zeros((0, 6)))
     big = np.eye(6) - np.kron(RADAU.a, a)
     for k in range(2):
         true = np.linalg.solve(big, np.tile(x[:, k], 3)).reshape(3, 2)
@@ -33,14 +35,14 @@ def test_stages_of_a_state_far_smaller_than_another_keep_their_digits():
     """A trace of 1e-20 in balance with its source, beside a state of 1."""
     a = np.array([[-0.1, 0.0], [1e-15, -1e5]])
     x = np.array([[1.0], [1e-20]])
-    stages = solve_stages(RADAU, linear(a), x, np.repeat(x[None], 3, axis=0), np.zeros((0, 3)))
+    stages, *_ = solve_stages(RADAU, linear(a), x, np.repeat(x[None], 3, axis=0), np.zeros((0, 3)))
     true = np.linalg.solve(np.eye(6) - np.kron(RADAU.a, a), np.tile(x[:, 0], 3)).reshape(3, 2)
     np.testing.assert_allclose(stages[:, :, 0], true, rtol=1e-9)
 
 
 def test_stages_that_are_not_finite_do_not_arrive():
     a = np.array([[np.nan]])
-    stages = solve_stages(RADAU, linear(a), np.ones((1, 2)), np.ones((3, 1, 2)), np.zeros((0, 6)))
+    stages, *_ = solve_stages(RADAU, linear(a), np.ones((1, 2)), np.ones((3, 1, 2)), np.zeros((0, 6)))
     assert np.isnan(stages).all()
 
 
@@ -58,7 +60,7 @@ def test_a_step_that_goes_across_a_corner_arrives():
     """Newton's method leaps from one side of the corner to the other for ever, unless its steps are damped."""
     pull, force, width = np.array([0.2, 0.2, -0.7, 3.0]), 1.0, 1e-5
     x = np.array([[0.5, 1e-3, -0.4, 0.9]])
-    stages = solve_stages(
+    stages, *_ = solve_stages(
         RADAU, friction(force, width), x, np.repeat(x[None], 3, axis=0), np.tile(pull, (1, 3))
     )
     assert np.isfinite(stages).all()
@@ -76,6 +78,40 @@ def test_a_step_that_does_not_arrive_is_the_only_one():
         return value, np.where(given > 0, 2 * columns, -np.ones_like(columns))
 
     x, kind = np.ones((1, 3)), np.array([1.0, 0.0, 0.0])
-    stages = solve_stages(RADAU, function, x, np.repeat(x[None], 3, axis=0), np.tile(kind, (1, 3)))
+    stages, *_ = solve_stages(RADAU, function, x, np.repeat(x[None], 3, axis=0), np.tile(kind, (1, 3)))
     assert np.isnan(stages[..., 0]).all()
     np.testing.assert_allclose(stages[-1, 0, 1:], np.exp(-1.0), rtol=1e-3)
+
+
+def uptake(size, half):
+    """Slopes -size x/(half + x) of a stock, h = 1: beyond the pole at -half the stage equations have another root."""
+
+    def function(columns, given):
+        return -size * columns / (half + columns), -size * half / (half + columns) ** 2
+
+    return function
+
+
+@pytest.mark.parametrize(("size", "half"), [(3.0, 0.5), (1.0, 0.5), (0.5, 0.05)])
+@pytest.mark.parametrize("begun", [None, 1e-3, -0.4, -2.0, -50.0])
+def test_a_step_is_the_same_whatever_newtons_method_begins_at(size, half, begun):
+    """A stock does not become negative by being used up, wherever the last run had left the stages."""
+    x, given = np.array([[1.0, 0.3, 0.02]]), np.zeros((0, 9))
+    near = None if begun is None else np.full((3, 1, 3), begun)
+    stages = stages_of(RADAU, uptake(size, half), x, given, near)
+    assert (stages[-1] > 0).all()
+    slopes = uptake(size, half)(stages.reshape(1, -1), given)[0].reshape(3, 3)
+    np.testing.assert_allclose(stages[:, 0], x + RADAU.a @ slopes, rtol=0, atol=1e-12)
+    exact = [
+        solve_ivp(lambda t, y: -size * y / (half + y), (0, 1), [own], rtol=1e-10).y[0, -1] for own in x[0]
+    ]
+    np.testing.assert_allclose(stages[-1, 0], exact, rtol=0, atol=5e-3)
+
+
+def test_stages_that_are_not_known_do_not_hide_the_others():
+    x, given = np.array([[1.0, 0.3]]), np.zeros((0, 6))
+    wanted = stages_of(RADAU, uptake(0.1, 0.5), x, given)
+    near = wanted.copy()
+    near[..., 0] = np.nan
+    found = stages_of(RADAU, uptake(0.1, 0.5), x, given, near)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13)
