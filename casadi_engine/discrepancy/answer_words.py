@@ -33,8 +33,18 @@ def so_far(search: Choice) -> list[str]:
 
 def untold(search: Choice) -> str:
     """What is known where the time was up before anything was found: that more is left than noise, if it is more than
-    was stated."""
-    return MORE_THAN_NOISE if leaves_more(search.refits, search.pool[search.best]) else UNTOLD
+    was stated, or if the test of an effect by itself says so."""
+    if leaves_more(search.refits, search.pool[search.best]):
+        return MORE_THAN_NOISE
+    screened = search.null.screened
+    if not screened.significant:
+        return UNTOLD
+    k = screened.significant[0]
+    first, z = screened.candidates[k], float(screened.scores.statistic[k])
+    return (
+        f"of the tests of single effects that of {first.effect} at {first.port} has |z| = {z:.3g}, beyond "
+        f"{screened.threshold:.3g}; the time was up before effects were compared"
+    )
 
 
 def without_answer(search: Choice) -> list[str]:

@@ -3,6 +3,7 @@ add up to a curve that one law may have as well."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,8 @@ def told_as_one_law(repair: Repair) -> Repair:
     for one in repair.effects:
         ports.setdefault(one.at, []).append(one)
     said = {at: words for at, own in ports.items() if (words := _said(repair.fit, at, own))}
+    if not said and len(ports) > 1 and (words := _over_one_variable(repair.fit, repair.effects)):
+        said = {repair.effects[0].at: words}
     if not said:
         beside = [words for at, own in ports.items() if (words := _beside_own_terms(repair.fit, at, own))]
         return replace(repair, messages=(*beside, *repair.messages)) if beside else repair
@@ -55,11 +58,38 @@ def _said(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
     return f"{names} add up to a curve over {signal}, which keeps its sign in the records: {_LAW}"
 
 
+def _over_one_variable(fit: Fit | None, effects: Sequence[FoundEffect]) -> str:
+    """The same of effects at several ports that add, to one equation, what depends on a state or an input alone: an
+    offset of a speed that acts by its square and a constant head are together a square of the speed."""
+    if fit is None:
+        return ""
+    model, names = fit.model, list(fit.model.parameter_names)
+    left = [one for one in effects if next(iter(one.parameters)) in names]
+    own = [names.index(next(iter(one.parameters))) for one in left]
+    ode = model.closed_ode
+    gone = [ca.vertcat(*[0 if k == j else model.p[k] for k in range(len(names))]) for j in own]
+    adds = [ca.simplify(ode - ca.substitute(ode, model.p, other)) for other in gone]
+    for row in range(ode.size1()):
+        here = [k for k, one in enumerate(adds) if not one[row].is_zero()]
+        moving = {s.name(): s for k in here for s in ca.symvar(adds[k][row]) if not _is_in(s, model.p)}
+        if len(here) < 2 or len(here) < len(effects) or len(moving) != 1:
+            continue
+        ((name, symbol),) = moving.items()
+        if _is_in(symbol, ca.vertcat(model.x, model.u)) and _keeps_its_sign(fit, symbol):
+            said = " and ".join(f"{left[k].name} at {left[k].at}" for k in here)
+            return f"{said} add up to a curve over {name}, which keeps its sign in the records: {_LAW}"
+    return ""
+
+
+def _is_in(symbol: ca.SX, symbols: ca.SX) -> bool:
+    return any(symbol.element_hash() == one.element_hash() for one in ca.symvar(symbols))
+
+
 def _beside_own_terms(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
     """What is said of an effect at a port where the model has a term of the same signal, which keeps its sign; "" where
     it has none."""
     signal = _one_signal(fit, at, 1) if fit is not None and len(own) == 1 else None
-    if fit is None or signal is None:
+    if fit is None or signal is None or fit.model.ports[at].kind in ("input", "sensor"):
         return ""
     names, model = list(fit.model.parameter_names), fit.model
     amplitude = next(iter(own[0].parameters))
@@ -97,9 +127,13 @@ def _one_signal(fit: Fit, at: str, least: int) -> str | None:
     if len(laws) < least or len(read) != 1 or not read <= set(port.signals):
         return None
     (signal,) = read
+    return signal if _keeps_its_sign(fit, port.signals[signal]) else None
+
+
+def _keeps_its_sign(fit: Fit, signal: ca.SX) -> bool:
+    """Whether a signal is on one side of zero in all records."""
     try:
-        found = courses(paths_of(fit), port.signals[signal])
+        found = courses(paths_of(fit), signal)
     except FAILURES:
-        return None
-    low, high = min(one.min() for one in found), max(one.max() for one in found)
-    return None if low < 0 < high else signal
+        return False
+    return not min(one.min() for one in found) < 0 < max(one.max() for one in found)

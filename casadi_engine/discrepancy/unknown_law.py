@@ -96,8 +96,8 @@ class UnknownLaw:
     def is_curve(self) -> bool:
         """True where several effects do no more than a smooth function of one signal: two laws of it add up to many a
         curve, as do one and an error of what it is measured by, and that they are fewer numbers is all that speaks for
-        them."""
-        return self.several and self.share <= 1
+        them. A smooth function of finitely many terms may leave what a person would not see."""
+        return self.several and self.share <= 1 + SEEN**2
 
     def on_fresh(self, closed: float) -> UnknownLaw:
         """The same with what effects explain by fresh data, which confirm them and of whose gap they close a share."""

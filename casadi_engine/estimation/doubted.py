@@ -8,15 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.distributions import chi2_isf
 from casadi_engine.estimation.error_check import CALL, UNEVEN, Doubt, doubts_of, entries_of, growing, words_of
 from casadi_engine.estimation.fit import Estimate, Optimum
 from casadi_engine.estimation.foreseen_ends import Rises
-from casadi_engine.estimation.profile_interval import LowerOptimumError, Profiles, root_of
+from casadi_engine.estimation.profile_interval import LEVEL, LowerOptimumError, Profiles, root_of
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
 
 Array = NDArray[np.float64]
 
+# Searches of which one may have met a lower optimum than the first.
+_SEVERAL = 2
 _UNKNOWN, _UNEVEN = "not known (see note)", "not symmetric (see note)"
 
 
@@ -52,9 +55,9 @@ def judged(
     if check is not None:
         doubts, rises, of_states = doubts_of(search, best, white, optima, residuals, wider=errors)
     unchecked = growing(search, best) if check is not None and errors.optimal else None
-    told = () if unchecked is None else (unchecked,)
+    told = (*(() if unchecked is None else (unchecked,)), *_few(search, white))
     if not doubts or check is None:
-        return Judged(estimates, initial, told)
+        return Judged(_bent_ties(search, errors, estimates), initial, told)
     matrix, slopes = white.covariance.matrix, errors.slopes()
     with_error = [name for name, one in estimates.items() if one.stderr]
     free = [name for name in search.pmap.free if name in with_error and _of(doubts, slopes[name], matrix)]
@@ -84,7 +87,45 @@ def judged(
     felt += _states_judged(search, white, errors, doubts, of_states, initial, but_shape=bool(alike))
     left = [name for name in free if about[name] is not None]
     own = [doubt for doubt in doubts if any(doubt is one for one in felt)]
-    return Judged(estimates, initial, (*words_of(own, [name for name in left if name not in ends]), *told))
+    return Judged(
+        _bent_ties(search, errors, estimates),
+        initial,
+        (*words_of(own, [name for name in left if name not in ends]), *told),
+    )
+
+
+def _few(search: Search, errors: Uncertainty) -> tuple[str, ...]:
+    """That an interval is wider than ± says, of samples so few that the level of their noise is hardly known."""
+    root, plain = root_of(search, errors), float(np.sqrt(chi2_isf(1 - LEVEL, 1)))
+    if not errors.optimal or root < (1 + UNEVEN) * plain:
+        return ()
+    freedom = search.problem.samples - errors.covariance.rank
+    return (
+        f"few samples: with a noise level from {freedom} degrees of freedom an interval of 95 % goes {root:.2g} "
+        "standard errors to either side (Student's t)",
+    )
+
+
+def _bent_ties(search: Search, errors: Uncertainty, estimates: dict[str, Estimate]) -> dict[str, Estimate]:
+    """The estimates with an interval of what a tie makes of parameters where it bends so much that ± does not tell its
+    ends: it is followed along the way of the parameters that moves it most."""
+    if not errors.optimal:
+        return estimates
+    pmap, scale, root = search.pmap, search.coordinates.slope(errors.v), root_of(search, errors)
+    z, low, high = (
+        search.coordinates.values(x[: len(scale)]) for x in (errors.x, search.lower, search.upper)
+    )
+    matrix, found = errors.of_parameters(), dict(estimates)
+    for name, slope in errors.slopes().items():
+        one, own = estimates[name], slope / scale
+        if name in pmap.free or not one.stderr or not own.any():
+            continue
+        way = root * (matrix @ own) / np.sqrt(own @ matrix @ own)
+        ends = sorted(float(pmap.values(np.clip(z + side * way, low, high))[name]) for side in (-1, 1))
+        if np.isfinite(ends).all() and not _alike(one, (ends[0], ends[1]), root):
+            interval = ends[0], ends[1]
+            found[name] = replace(one, stderr=None, why=_UNEVEN, interval=interval, quadratic=one.stderr)
+    return found
 
 
 def _states_judged(

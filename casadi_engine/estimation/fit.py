@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
@@ -225,6 +226,17 @@ class Fit:
         found quickly."""
         found = {name: self.estimates[name] for name in self.free if name in self.estimates}
         return tuple(name for name, one in found.items() if one.quadratic and one.interval is None)
+
+    def to_inference_data(self, **options: Any) -> dict[str, Any]:
+        """What ``arviz.from_dict(**...)`` takes, of the posterior of the parameters; no dependency.
+
+        options : of ``casadi_engine.posterior``, which draws it and says what it refuses; to keep it, draw it yourself,
+        ``ce.posterior(fit).to_inference_data()``
+        """
+        # the room above this one knows how to draw
+        draw = import_module("casadi_engine.posterior.posterior").posterior
+        found: dict[str, Any] = draw(self, **options).to_inference_data()
+        return found
 
     @property
     def correlation(self) -> Array:

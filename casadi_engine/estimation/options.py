@@ -112,8 +112,8 @@ def initial_bounds(
 def begun_at(record: Experiment, initial: Any, model: Model, records: Sequence[str]) -> Experiment:
     """The record, told at which instant its initial states hold.
 
-    Numbers given for initial states hold where the inputs begin; estimates of a fit at their own instant; states that
-    are all free at the first valid sample of the outputs.
+    Numbers given for initial states hold where the inputs begin, or the times of the outputs where there are none;
+    estimates of a fit at their own instant; states that are all free at the first valid sample of the outputs.
     """
     if not isinstance(initial, Mapping):
         return record
@@ -123,8 +123,10 @@ def begun_at(record: Experiment, initial: Any, model: Model, records: Sequence[s
         value.time for value in initial.values() if isinstance(value, Estimate) and value.time is not None
     ]
     inputs = [record[v.name].span[0] for v in model.inputs if v.name in record]
+    outputs = [record[v.name].span[0] for v in model.outputs if v.name in record]
+    known = [max(inputs)] if inputs else [min(outputs)] if outputs else []
     fixed = any(as_number(value) is not None for value in initial.values())
-    begin = min(times) if times else max(inputs) if fixed and inputs else None
+    begin = min(times) if times else known[0] if fixed and known else None
     return replace(record, begin=begin)
 
 

@@ -32,8 +32,9 @@ from casadi_engine.estimation.varied_noise import Varied, by_rounding, scattered
 Array = NDArray[np.float64]
 
 # Lag-one correlation, in its standard errors, from which a residual counts as coloured: once in 700 of white ones,
-# whose errors are then larger by a tenth; least samples to say so.
-_COLOUR, _FEW = 3.0, 30
+# whose errors are then larger by a tenth; least samples to say so, of a record by itself or of several, and of one of
+# these.
+_COLOUR, _FEW, _FEWEST = 3.0, 30, 5
 # A sum of squares that chance makes so rarely is not of the stated noise level.
 _IMPOSSIBLE = 1e-9
 # So rarely chance makes the residual of a record that much larger than that of the others, whose level is one.
@@ -70,20 +71,37 @@ class OwnNoise:
 def own_noise(search: Search, best: Attempt) -> tuple[OwnNoise, ...]:
     """The outputs of all records whose residuals are coloured or larger than stated."""
     points = search.problem.at(best.solution.x).records
-    louder, uneven = _louder(search, points), _uneven(search, points)
+    louder, uneven, coloured = _louder(search, points), _uneven(search, points), _coloured(search, points)
     found = []
     for at, (record, point) in enumerate(zip(search.records, points, strict=True)):
         for name in record.observation.where:
-            r = _counted(record, point.r, name)
-            neighbours = None
-            if len(r) >= _FEW and not search.levels.rounding(name, r, search.sigma):
-                share = float(r[1:] @ r[:-1] / (r @ r))
-                neighbours = share if share * np.sqrt(len(r)) > _COLOUR else None
+            neighbours = coloured.get((at, name))
             level, others = uneven.get((at, name), (louder.get((at, name)), None))
             if neighbours is not None or level is not None:
                 residual, valid = _along(record, point, name, search.loss)
                 found.append(OwnNoise(at, name, residual, valid, neighbours, level, others))
     return tuple(found)
+
+
+def _coloured(search: Search, points: Sequence[RecordPoint]) -> dict[tuple[int, str], float]:
+    """Number of a record and output -> the correlation of neighbours in its residual, where this is coloured: by
+    itself, or, where that cannot be told, with those of the other records."""
+    found: dict[tuple[int, str], float] = {}
+    for name in search.records[0].outputs:
+        short: dict[tuple[int, str], tuple[float, float, int]] = {}
+        for at, (record, point) in enumerate(zip(search.records, points, strict=True)):
+            r = _counted(record, point.r, name) if name in record.observation.where else np.empty(0)
+            if len(r) < _FEWEST or search.levels.rounding(name, r, search.sigma):
+                continue
+            own = float(r[1:] @ r[:-1]), float(r @ r), len(r)
+            if own[0] > _COLOUR * own[1] / math.sqrt(own[2]) and own[2] >= _FEW:
+                found[at, name] = own[0] / own[1]
+            else:
+                short[at, name] = own
+        product, square, count = (sum(one[k] for one in short.values()) for k in range(3))
+        if len(short) > 1 and count >= _FEW and product > _COLOUR * square / math.sqrt(count):
+            found |= dict.fromkeys(short, product / square)
+    return found
 
 
 def _uneven(search: Search, points: Sequence[RecordPoint]) -> dict[tuple[int, str], tuple[float, float]]:

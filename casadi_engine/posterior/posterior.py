@@ -21,6 +21,7 @@ from casadi_engine.posterior.left_out import SCATTER, with_all_data
 from casadi_engine.posterior.modes import Modes, along, find_modes, inverse, separate
 from casadi_engine.posterior.open_ends import check_ends
 from casadi_engine.posterior.result import Posterior, made
+from casadi_engine.posterior.scan import dips
 from casadi_engine.posterior.target import Target
 
 Array = NDArray[np.float64]
@@ -178,15 +179,20 @@ def _met(drawing: Drawing, fit: Fit, weak: list[Array], left_out: float) -> tupl
     weak : points v along what the data tell least of, where they have to tell something too
     """
     target, found = drawing.target, Met()
-    wide = 0 if target.likelihood.bins is None else WIDE * len(target.names) + 6
+    bins = target.likelihood.bins is not None
+    wide = WIDE * len(target.names) + 6 if bins else 0
+    met: list[Array] = []
+    if not bins:
+        drawing.tell("looking along each parameter")
+        met = dips(target)
     for trial in range(TRIALS):
         drawing.tell("looking for optima")
-        modes = find_modes(target, fit, drawing.random, wide=wide, met=found.higher)
+        modes = find_modes(target, fit, drawing.random, wide=wide, met=[*found.higher, *met])
         for _ in range(REFINED):
             if modes is None or not target.integrate_finely(_places(target, modes)):
                 break  # what the steps at the optimum make of a place far off may hide that it is likely
             drawing.tell("integrating more finely, and looking for optima again")
-            modes = find_modes(target, fit, drawing.random, wide=wide, met=found.higher)
+            modes = find_modes(target, fit, drawing.random, wide=wide, met=[*found.higher, *met])
         if modes is None:
             raise _improper("the optimum's information matrix is singular")
         target.choose([*modes.at[:OPTIMA, : target.nv], *weak], left_out)
