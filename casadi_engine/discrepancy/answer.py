@@ -225,7 +225,9 @@ class Answer:
         asked = rival is not None or bool(found and law is None) or (unknown is not None and not found)
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
-            again = self._law(held, refitted_law)
+            first = law if law is not None else self._law(held, near)
+            others = () if first is None else first.others
+            again = self._law(held, partial(refitted_law, others=others))
             said = _said(claim, held, again, refitted=True)
             if (
                 said is not None

@@ -286,7 +286,8 @@ def law_words(model: Model, family: Family) -> str:
         return f"the {kind} {name} {'acts as' if kind == 'input' else 'shows'} another function of its value"
     if port.kind == "parameter":
         return f"the parameter {port.parameter} is not constant: it depends on {family.signal}"
-    acts = f"an unknown {port.quantity} at {family.port}"
+    where = f"between {' and '.join(port.ends)}" if port.ends else f"at {family.port}"
+    acts = f"an unknown {port.quantity} {where}"
     if family.order:
         often = "once" if family.order == 1 else f"{family.order} times"
         return f"{acts} that comes back {often} a turn"

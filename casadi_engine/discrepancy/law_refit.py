@@ -9,12 +9,9 @@ measurement. Its evidence is held against that of the model without it, at the n
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, ask
@@ -29,88 +26,66 @@ from casadi_engine.discrepancy.evidence import (
     levels_left,
 )
 from casadi_engine.discrepancy.law_rival import SIZES, TAKEN, of_size
-from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.law_setups import TERMS, Setup, setups_at, setups_elsewhere
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.priors import priors_of
-from casadi_engine.discrepancy.random_families import Course, Family, course_of, smooth_family, terms_at
+from casadi_engine.discrepancy.random_families import Course, Family, course_of
 from casadi_engine.discrepancy.refit_null import null_of_refit
 from casadi_engine.discrepancy.refits import Refits, Tried
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of
-from casadi_engine.effects import Amplitude, Effect, Grid
 from casadi_engine.estimation.refit_answer import Refit
 from casadi_engine.estimation.refit_problem import RefitProblem
-from casadi_engine.model import Model, Port
+from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
-from casadi_engine.simulation.null_path import NullPath
 
-# Kinds of ports at which something acts, or that may act otherwise than they say.
-_KINDS = ("inertia", "coupling", "internal", "input")
+# Links between ports are looked at where they are no more than so many.
+_LINKS = 6
 # Steps over a horizon, and over one of the short ones.
 _STEPS, _FEW = 30, 12
 # Horizons over which every function is refitted; those go on to the whole record whose chi-squared over these is within
 # such a factor of the least.
 _SHORT, _NEAR = 3, 2.0
+# So many of these at most, the best over short windows.
+_FOLLOWED = 4
 # A simulation that is off by this share of what an output varies by has slopes that are off as much: a law that is
 # found along it leaves a hundredth of the squares that one along the motion itself would take.
 _FAR = 0.1
-# Terms of a function.
-_TERMS = 20
-# Factor of all terms, which is one: they are what is estimated.
-_WHOLE = "whole"
 
 
-class _Function(Effect):
-    """A smooth function of a signal: cosines over the range that the records visit."""
-
-    def __init__(self, port: Port, family: Family) -> None:
-        self.name = f"function_of_{family.signal}"  # type: ignore[misc]
-        self.attaches = (port.kind,)  # type: ignore[misc]
-        self.amplitude = Amplitude(_WHOLE, unit=None)  # type: ignore[misc]
-        self.nuisance: Mapping[str, Grid] = MappingProxyType(  # type: ignore[misc]
-            {f"c{k}": Grid() for k in range(len(family.variances))}
-        )
-        self._family = family
-
-    def law(self, port: Any, p: Any, math: Any) -> Any:
-        del math
-        terms = terms_at(self._family, getattr(port, self._family.signal))
-        return p.whole * sum((getattr(p, f"c{k}") * term for k, term in enumerate(terms)), 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Setup:
-    """A model with a function: its parameters, the names of the terms, and their prior standard deviations."""
-
-    family: Family
-    model: Model
-    parameters: Parameters
-    terms: tuple[str, ...]
-    deviations: Array
-
-
-def refitted_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | None:
+def refitted_law(
+    refits: Refits, tried: Tried, further: float, *, others: Sequence[Family] = ()
+) -> UnknownLaw | None:
     """The most probable function in the place of a structure's effects, or of none, each refitted; None where none
     arrives.
 
-    further : what a further effect has to gain in log probability
+    further : what a further effect has to gain in log probability; others : functions of what the signals of a port do
+    not say, or of a parameter, that come first along the simulation
     """
     none = refits.pool[frozenset()]
-    setups = [one for port in refits.refitter.model.ports for one in _setups(refits, none, port)]
+    ports = refits.refitter.model.ports
+    between = ports.links if len(ports.links) <= _LINKS else ()
+    setups = [one for port in (*ports, *between) for one in setups_at(refits, none, port)]
+    known = {(one.family.port, one.family.signal) for one in setups}
+    further_ones = [one for one in others if (one.port, one.signal) not in known and not one.order]
+    setups += [one for family in further_ones for one in setups_elsewhere(refits, none, family)]
     if not setups:
         return None
-    begun = [(setup, _begun(refits, none, setup.model, setup.parameters)) for setup in setups]
-    least = min((one.found.cost for _, one in begun if one is not None), default=math.inf)
-    most = min(_NEAR * least, _chance(refits, tried, len(setups)))
-    found = []
-    for setup, one in begun:
-        if one is None or one.found.cost > most:
-            continue
-        made = _followed(refits, none, tried, setup, one)
-        found += [] if made is None else [made]
-    if not found:
+    asked = {(one.port, one.signal) for one in further_ones}
+    begun: list[tuple[Setup, _Begun, bool]] = []
+    for setup in setups:
+        own = _begun(refits, none, setup.model, setup.parameters)
+        if own is not None:
+            begun.append((setup, own, (setup.family.port, setup.family.signal) in asked))
+    begun.sort(key=lambda one: one[1].found.cost)
+    most = min(_NEAR * begun[0][1].found.cost, _chance(refits, tried, len(setups))) if begun else 0.0
+    near = [(setup, one) for setup, one, told in begun if not told and one.found.cost <= most]
+    wanted = near[:_FOLLOWED] + [(setup, one) for setup, one, told in begun if told]
+    each = [_followed(refits, tried, setup, one) for setup, one in wanted]
+    found = [one for one in each if one is not None]
+    best = _most_probable(found, none, tried) if found else None
+    if best is None:
         return None
-    best = max(found, key=lambda one: one.log)
     price = (len(tried.effects) - 1) * max(further, 0.0)
     return replace(best, log=best.log - math.log(len(setups)) + price, price=price)
 
@@ -137,86 +112,8 @@ def _chance(refits: Refits, tried: Tried, many: int) -> float:
     plain = _begun(refits, tried, model, parameters)
     if plain is None:
         return math.inf
-    memory = max(refits.levels.memory.values(), default=1.0)  # samples that are worth one independent one
-    gained = (_TERMS + 2 * math.log(FACTOR * many)) * memory
+    gained = TERMS + 2 * math.log(FACTOR * many)
     return plain.found.cost * math.exp(-gained / max(plain.problem.count, 1))
-
-
-def _setups(refits: Refits, tried: Tried, port: Port) -> list[_Setup]:
-    """A function of every signal of a port at which something acts, over the range that the records visit.
-
-    Its prior is as large as all that moves the states there, or as an input itself.
-    """
-    if port.kind not in _KINDS or (port.slot is None and port.kind != "input") or not port.signals:
-        return []
-    if port.kind == "input":
-        values = _as_read(refits, port)
-        if not _moves(values):
-            return []
-        family = smooth_family(port.name, next(iter(port.signals)), values, terms=_TERMS)
-        size = float(np.std(values))
-        return [_attached(refits, tried, family, size)]
-    first = smooth_family(port.name, next(iter(port.signals)), np.array([0.0, 1.0]), terms=_TERMS)
-    probe = _attached(refits, tried, first, 1.0)
-    problem = RefitProblem(probe.model, refits.refitter.data, probe.parameters, levels=refits.path.levels)
-    try:
-        with np.errstate(all="ignore"):
-            paths = problem.measured_paths(tried.arrived.values)
-            size = _size(probe, paths)
-            visited = {name: _along(paths, own) for name, own in port.signals.items()}
-    except FAILURES:
-        return []
-    found = []
-    for name, values in visited.items():
-        if _moves(values) and math.isfinite(size):
-            found.append(_attached(refits, tried, smooth_family(port.name, name, values, terms=_TERMS), size))
-    return found
-
-
-def _moves(values: Array) -> bool:
-    return bool(np.ptp(values) > 1e-9 * max(float(np.abs(values).max()), 1e-300))
-
-
-def _as_read(refits: Refits, port: Port) -> Array:
-    """What an input says in all records."""
-    name = port.name.removeprefix("input_")
-    return np.concatenate([np.asarray(record[name].values, dtype=float) for record in refits.refitter.data])
-
-
-def _attached(refits: Refits, tried: Tried, family: Family, size: float) -> _Setup:
-    """The model with a function of such a size."""
-    model = refits.refitter.extended(tried.effects)
-    effect = _Function(model.ports[family.port], family)
-    wider = model.with_effect(effect, at=family.port)
-    terms = tuple(f"{family.port}.{effect.name}.c{k}" for k in range(len(family.variances)))
-    parameters = refits.refitter.parameters_of(model, tried.effects).unconstrained().extended(wider)
-    parameters.fix(f"{family.port}.{effect.name}.{_WHOLE}", 1.0)
-    deviations = size * np.sqrt(family.variances)
-    for name, deviation in zip(terms, deviations, strict=True):
-        parameters[name].set(0.0, min=None, max=None, prior=(0.0, float(deviation)))
-    return _Setup(family, wider, parameters, terms, deviations)
-
-
-def _size(probe: _Setup, paths: Sequence[NullPath]) -> float:
-    """The amplitude at which what acts at a port moves some state as much as all does; inf where it moves none."""
-    model = probe.model
-    symbol = model.p[list(model.parameter_names).index(probe.terms[0])]
-    pushes = ca.densify(ca.jacobian(model.closed_ode, symbol))
-    size = math.inf
-    for k in range(len(model.states)):
-        gain = float(np.sqrt(np.mean(_along(paths, pushes[k]) ** 2)))
-        moved = float(np.std(np.concatenate([path.slope[k] for path in paths])))
-        if gain > 0 and moved > 0:
-            size = min(size, moved / gain)
-    return size
-
-
-def _along(paths: Sequence[NullPath], expression: ca.SX) -> Array:
-    """An expression along all records."""
-    found = [path.function([expression])(*path.at_samples().arguments)[0][0] for path in paths]
-    return np.concatenate(
-        [np.broadcast_to(own, path.grid.time.shape) for own, path in zip(found, paths, strict=True)]
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,9 +148,49 @@ def _begun(refits: Refits, tried: Tried, model: Model, parameters: Parameters) -
     return _Begun(problem, found) if found.initial and math.isfinite(found.cost) else None
 
 
-def _followed(refits: Refits, none: Tried, tried: Tried, setup: _Setup, one: _Begun) -> UnknownLaw | None:
-    """A function in the place of a structure's effects, its evidence averaged over its size, after windows that grow to
-    the whole record; None where it does not arrive there."""
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """A function whose refit arrived on the whole record: what its evidence is counted from, the noise it leaves."""
+
+    setup: Setup
+    null: NullModel
+    made: Digest
+    levels: Levels
+
+    @property
+    def left(self) -> float:
+        """How much it leaves: the logarithm of the residual's size, over all samples."""
+        squares: dict[str, float] = {}
+        counts: dict[str, int] = {}
+        for record in self.null.records:
+            for output, e in record.residual.items():
+                squares[output] = squares.get(output, 0.0) + float(e @ e)
+                counts[output] = counts.get(output, 0) + len(e)
+        return sum(0.5 * n * math.log(max(squares[output] / n, 1e-300)) for output, n in counts.items() if n)
+
+    def log(self, levels: Levels) -> tuple[float, Digest]:
+        """Log evidence averaged over the function's size, and what it is counted from at the size that serves best."""
+        logs = [evidence(of_size(self.made, self.setup.terms, share), levels).log for share in SIZES]
+        best = of_size(self.made, self.setup.terms, SIZES[int(np.argmax(logs))])
+        return float(np.logaddexp.reduce(logs)) - math.log(len(SIZES)), best
+
+
+def _most_probable(followed: Sequence[_Followed], none: Tried, tried: Tried) -> UnknownLaw | None:
+    """The most probable of some functions, all held against the noise that the one leaves which leaves least."""
+    levels = min(followed, key=lambda one: one.left).levels
+    found = [(one, *one.log(levels)) for one in followed]
+    one, log, best = max(found, key=lambda own: own[1])
+    if not math.isfinite(log):
+        return None
+    zero, named, law = (evidence(own, levels) for own in (none.digest, tried.digest, best))
+    share = (zero.cost - named.cost) / (zero.cost - law.cost) if zero.cost > law.cost else 1.0
+    course, alike = _course(best, one.null, one.setup, levels), len(tried.effects) > 1
+    return UnknownLaw(course, log - named.log, share, alike, near_of(tried, one.setup.family.port))
+
+
+def _followed(refits: Refits, tried: Tried, setup: Setup, one: _Begun) -> _Followed | None:
+    """A function in the place of a structure's effects after windows that grow to the whole record; None where it does
+    not arrive there, or leaves most of the colour."""
     ask()
     try:
         with np.errstate(all="ignore"):
@@ -266,19 +203,7 @@ def _followed(refits: Refits, none: Tried, tried: Tried, setup: _Setup, one: _Be
             if not _takes_the_colour(refits.path.residuals(tried.effects, tried.arrived), null):
                 return None
             levels = levels_left(null, refits.known, refits.levels.scatter, None)
-            made = _counted(null, setup)
-            logs = [evidence(of_size(made, setup.terms, share), levels).log for share in SIZES]
-            log = float(np.logaddexp.reduce(logs)) - math.log(len(SIZES))
-            best = of_size(made, setup.terms, SIZES[int(np.argmax(logs))])
-            zero, named, law = (evidence(own, levels) for own in (none.digest, tried.digest, best))
-            share = (zero.cost - named.cost) / (zero.cost - law.cost) if zero.cost > law.cost else 1.0
-            course = _course(best, null, setup, levels)
-            alike = len(tried.effects) > 1
-            return (
-                UnknownLaw(course, log - named.log, share, alike, near_of(tried, setup.family.port))
-                if math.isfinite(log)
-                else None
-            )
+            return _Followed(setup, null, _counted(null, setup), levels)
     except FAILURES:
         return None
     except TimeUp:
@@ -307,7 +232,7 @@ def _horizons(problem: RefitProblem) -> list[float | None]:
     return [*(shortest * 2.0**k for k in range(math.ceil(math.log2(max(most, 2))))), None]
 
 
-def _counted(null: NullModel, setup: _Setup) -> Digest:
+def _counted(null: NullModel, setup: Setup) -> Digest:
     """What the evidence is counted from, with the function's prior at its largest."""
     mine = [null.parameters.index(name) for name in setup.terms]
     prior = null.prior
@@ -322,13 +247,15 @@ def _counted(null: NullModel, setup: _Setup) -> Digest:
     return replace(made, prior=rows)
 
 
-def _course(made: Digest, null: NullModel, setup: _Setup, levels: Levels) -> Course:
+def _course(made: Digest, null: NullModel, setup: Setup, levels: Levels) -> Course:
     """The course of the function where its refit ended, with its band."""
     rows = np.concatenate([*(part * levels.weight(output) for output, part in made.parts), made.prior])
     mine = [null.parameters.index(name) for name in setup.terms]
     inverse = np.linalg.pinv(rows[:, :-1])[: made.turn.shape[1]]
     root = made.turn[mine] @ inverse
     course = course_of(setup.family, null.values[mine] + root @ rows[:, -1], root)
-    # a line is what the model's own parameters took or left, and no likeness
+    # a line is what the model's own parameters took or left, and no likeness, but where one of them follows it
     alike = course.looks_like
+    if setup.family.port.startswith("parameter_"):
+        return course
     return replace(course, looks_like={} if max(alike, key=alike.__getitem__) == "linear" else alike)

@@ -55,6 +55,8 @@ from casadi_engine.discrepancy.refits import Refits, Tried
 
 # The most probable functions of either kind, which are held against the noise that they leave themselves.
 _COLOURED = 3
+# The most probable functions of what a port does not know that are refitted too.
+_REFITTED = 3
 # Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
 # real machine is never all that depends on its speed.
 _NEAR = 0.8
@@ -74,6 +76,7 @@ class UnknownLaw:
     beside : the log of how much more probable the function is with the effects beside it than without them, where none
         of them is a law there itself: what they do is no imitation of it then
     price : the part of the log that is paid for further names, not told by the data
+    others : the functions that come first, the most probable one among them
     imitators : how many of the effects do nothing beside the function: one name that comes near is worth keeping,
         several that together imitate a function are not
     """
@@ -86,6 +89,7 @@ class UnknownLaw:
     beside: float = -math.inf
     price: float = 0.0
     imitators: int = 0
+    others: tuple[Family, ...] = ()
 
     @property
     def is_beside(self) -> bool:
@@ -181,7 +185,17 @@ def unknown_law(
     ):  # which may bend to a part of it
         both = counted_with(beside_it(null, columns[best.family.name]), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
-    return UnknownLaw(course, log, share, len(effects) > 1, near_of(tried, port), further_by, price)
+    first = sorted((one for one in found if one.far), key=lambda one: -one.log)[:_REFITTED]
+    return UnknownLaw(
+        course,
+        log,
+        share,
+        len(effects) > 1,
+        near_of(tried, port),
+        further_by,
+        price,
+        others=tuple(one.family for one in first),
+    )
 
 
 def _rival(beside: NullModel, made: Digest, family: Family, levels: Levels) -> Rival:

@@ -86,14 +86,14 @@ def _with_states(model: Model, term: Term) -> Model:
         if parts is not None:
             drive, words = ca.SX.sym(f"d_{state.name}"), f"what moves {state.name} from outside"
             rate = ca.mtimes(parts[0], inside) + drive
-            model = _with_drive(replace(model, ode=ca.vertcat(model.ode, rate)), drive, parts[1], words)
+            model = with_drive(replace(model, ode=ca.vertcat(model.ode, rate)), drive, parts[1], words)
             continue
         model, slot = _with_slot(model, state.name, f"rate of {state.name}", state.rate)
         model = replace(model, ode=ca.vertcat(model.ode, slot))
     return model
 
 
-def _with_drive(model: Model, drive: Any, expression: Any, words: str, unit: str = "-") -> Model:
+def with_drive(model: Model, drive: Any, expression: Any, words: str, unit: str = "-") -> Model:
     """One more drive, made of channels and time."""
     return replace(
         model,
@@ -126,7 +126,7 @@ def _with_torque(model: Model, term: Term) -> Model:
         name = f"T_{term.port.name}_{term.effect.name}"
         drive = ca.SX.sym(name)
         words = f"{term.effect.name} at {term.port.name}"
-        return _with_drive(replaced(model, slot, slot + drive), drive, term.value, words, term.port.unit)
+        return with_drive(replaced(model, slot, slot + drive), drive, term.value, words, term.port.unit)
     laws = ca.SX(model.laws)
     laws[row] = laws[row] + term.value
     return replace(model, laws=laws)

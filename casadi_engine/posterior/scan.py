@@ -10,13 +10,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.posterior.modes import inverse
 from casadi_engine.posterior.target import Target
 
 Array = NDArray[np.float64]
 
-# Places that are looked at in all, and at least for a parameter; how far apart they are at least, in standard errors.
-PLACES, _FEWEST, _APART = 400, 8, 1.5
+# Places that are looked at in all, for the parameters along which a coarse walk meets other dips; those of that, and at
+# least for a parameter; how far apart they are at least, in standard errors.
+PLACES, COARSE, _FEWEST, _APART = 400, 100, 8, 1.5
 # Standard errors to either side where there is no bound.
 _OPEN = 100.0
 # Dips from which searches start, those that the cost falls lowest in; how far it may stay above the lowest, and how
@@ -31,25 +33,37 @@ def dips(target: Target) -> list[Array]:
     centre = target.squares(target.start[: target.nv])
     if centre is None:
         return []
-    covariance, found = inverse(centre.matrix), list[tuple[float, Array]]()
-    lowest, lines = centre.cost, _lines(target, covariance)
-    for k, values in enumerate(lines):
+    covariance = inverse(centre.matrix)
+    every, uneven = _along(target, centre, covariance, list(range(target.nv)), COARSE)
+    if uneven:
+        every += _along(target, centre, covariance, uneven, PLACES)[0]
+    lowest = min([centre.cost, *(cost for cost, _ in every)])
+    every.sort(key=lambda one: one[0])
+    return [at for cost, at in every[:_DIPS] if cost < lowest + _ABOVE]
+
+
+def _along(
+    target: Target, centre: Squares, covariance: Array, which: list[int], places: int
+) -> tuple[list[tuple[float, Array]], list[int]]:
+    """Dips (cost, point) along these parameters, at so many places in all, and the parameters that have any."""
+    found: list[tuple[float, Array]] = []
+    uneven = []
+    for k, values in _lines(target, covariance, which, places).items():
         here = int(np.searchsorted(values, target.start[k]))
         sides = _walk(target, k, values[:here][::-1], covariance), _walk(target, k, values[here:], covariance)
         walked = [*reversed(sides[0]), (centre.cost, target.start[: target.nv]), *sides[1]]
-        costs = [cost for cost, _ in walked]
-        lowest = min(lowest, *costs)
+        costs, own = [cost for cost, _ in walked], len(found)
         for j in {*range(1, len(costs) - 1)} - {here}:
             ridge = min(max(costs[:j]), max(costs[j + 1 :]))
             if costs[j] <= min(costs[j - 1], costs[j + 1]) and costs[j] < ridge - _DEEP:
                 found.append(walked[j])
-    found.sort(key=lambda one: one[0])
-    return [at for cost, at in found[:_DIPS] if cost < lowest + _ABOVE]
+        uneven += [k] if len(found) > own else []
+    return found, uneven
 
 
-def _lines(target: Target, covariance: Array) -> list[Array]:
-    """For each parameter the values that are looked at, in their order, its own not among them. One that has many
-    standard errors between its bounds gets what others leave."""
+def _lines(target: Target, covariance: Array, which: list[int], places: int) -> dict[int, Array]:
+    """For each of these parameters the values that are looked at, in their order, its own not among them. One that has
+    many standard errors between its bounds gets what others leave."""
     here, size = target.start[: target.nv], np.sqrt(np.diag(covariance))
     low, high = target.low[: target.nv], target.high[: target.nv]
     low, high = (
@@ -58,9 +72,9 @@ def _lines(target: Target, covariance: Array) -> list[Array]:
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         wanted = np.where(size > 0, (high - low) / (_APART * size), 0.0)
-    left, lines = PLACES, [np.empty(0)] * target.nv
-    for done, k in enumerate(np.argsort(wanted)):
-        count = int(min(max(left // (target.nv - done), _FEWEST), wanted[k]))
+    left, lines = places, {}
+    for done, k in enumerate(sorted(which, key=lambda k: wanted[k])):
+        count = int(min(max(left // (len(which) - done), _FEWEST), wanted[k]))
         left -= count
         apart = (high[k] - low[k]) / max(count, 1)
         below = np.arange(here[k] - apart, low[k], -apart)[::-1] if count else np.empty(0)

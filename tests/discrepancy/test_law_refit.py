@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import law_refit
+from casadi_engine.discrepancy.law_setups import KINDS
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of
 
@@ -109,7 +110,7 @@ def test_windows_double_up_to_the_whole_record():
 
 def test_a_port_at_which_nothing_can_act_has_no_law():
     model = stage()
-    assert [p.kind for p in model.ports if p.kind in law_refit._KINDS] == ["inertia", "input"]
+    assert [p.kind for p in model.ports if p.kind in KINDS] == ["inertia", "input"]
 
 
 @pytest.mark.slow
