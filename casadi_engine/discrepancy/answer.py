@@ -96,6 +96,7 @@ _LEFT_OUT = {
     "leftover": "what no effect of the library names",
     "latent torque": "where something acts",
     "unknown law": "a law that no effect names, in the place of those found",
+    "refitted law": "what such a law does as a part of the equations",
     "left out": "what was left out and does the same",
 }
 
@@ -227,7 +228,7 @@ class Answer:
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             first = law if law is not None else self._law(held, near)
             others = () if first is None else first.others
-            again = self._law(held, partial(refitted_law, others=others))
+            again = self._law(held, partial(refitted_law, others=others), "refitted law")
             said = _said(claim, held, again, refitted=True)
             if (
                 said is not None
@@ -318,15 +319,15 @@ class Answer:
         tried = self.search.pool.get(key_of(last.effects))
         return tried is not None and is_far(self.search.refits.path.residuals(tried.effects, tried.arrived))
 
-    def _law(self, last: Station, told: Callable[..., UnknownLaw | None]) -> UnknownLaw | None:
+    def _law(
+        self, last: Station, told: Callable[..., UnknownLaw | None], what: str = "unknown law"
+    ) -> UnknownLaw | None:
         """A law that no effect names, in the place of those found, that these do not exclude."""
         search = self.search
         tried = search.pool.get(key_of(last.effects))
         if tried is None:
             return None
-        found: UnknownLaw | None = self._in_time(
-            "unknown law", lambda: told(search.refits, tried, search.price)
-        )
+        found: UnknownLaw | None = self._in_time(what, lambda: told(search.refits, tried, search.price))
         return found
 
     def _imitators(self, last: Station, law: UnknownLaw) -> int:

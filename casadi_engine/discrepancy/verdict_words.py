@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh_misfit import FRESH, HALF, fresh_doubt, fresh_misfit, how_far, is_louder
 from casadi_engine.discrepancy.repaired import UNCONFIRMED, UNTOLD, in_its_place
 from casadi_engine.discrepancy.wording import (
@@ -24,6 +26,8 @@ from casadi_engine.estimation.summary import count
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import NextExperiment, Repair
 
+# Where the sentence on a law goes on to say how probable it is.
+_ODDS = re.compile(r":? (?:far|[0-9.e+]+ times) more probable")
 # Right in 95 % of records.
 ENOUGH = 3.3
 # Fixed parameters that are named in one line.
@@ -51,9 +55,10 @@ def headline(repair: Repair) -> str:
             return "something is missing that the data of the search do not show: the fresh data do not fit"
         unseen = blind and not names_own_law(repair)
         why = "no physical effect could be looked for" if unseen else "no effect of the library names it"
-        if repair.stopped and not blind:
+        unnamed = _law_alone(repair)
+        if repair.stopped and not blind and not unnamed:
             why = "the search ended before an effect of the library could name it"
-        return f"something is missing, and {why}{_nearest(repair)}"
+        return f"something is missing, and {why}{unnamed}{_nearest(repair)}"
     sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
     others = [m.label for one in repair.effects for m in one.members[1:]]
     doubt = (
@@ -66,6 +71,14 @@ def headline(repair: Repair) -> str:
         doubt += ", and more that no effect of the library names"
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
+
+
+def _law_alone(repair: Repair) -> str:
+    """The law of no name that is far more probable than all else; "" without one."""
+    unknown = repair.unknown
+    if unknown is None or unknown.course is None or unknown.odds is None or unknown.odds < FACTOR:
+        return ""
+    return f": {re.split(_ODDS, unknown.sentence)[0]}"
 
 
 def _by_chance(repair: Repair) -> str:

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.distributions import chi2_isf
-from casadi_engine.estimation.error_check import CALL, UNEVEN, Doubt, doubts_of, entries_of, growing, words_of
+from casadi_engine.estimation.beside_optimum import UNEVEN, entries_of
+from casadi_engine.estimation.doubt import CALL, Doubt
+from casadi_engine.estimation.error_check import doubts_of, growing, words_of
 from casadi_engine.estimation.fit import Estimate, Optimum
 from casadi_engine.estimation.foreseen_ends import Rises
 from casadi_engine.estimation.profile_interval import LEVEL, LowerOptimumError, Profiles, root_of

@@ -15,24 +15,36 @@ and where it bends there, along each of them. Three numbers tell:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.distributions import chi2_isf
 from casadi_engine.errors import ModelError
+from casadi_engine.estimation.beside_optimum import (
+    UNEVEN,
+    bounds,
+    entries_of,
+    exchanged,
+    lost,
+    rivals,
+    state_bounds,
+    uneven,
+)
 from casadi_engine.estimation.dichotomy import grows
-from casadi_engine.estimation.exchanged import linear_residual, twins
+from casadi_engine.estimation.doubt import CALL, FLAT, RUGGED, Doubt
+from casadi_engine.estimation.exchanged import linear_residual
 from casadi_engine.estimation.final_check import printed_cost, residual, response
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.foreseen_ends import FAR, RISES, Rises
 from casadi_engine.estimation.growth import log_growth
+from casadi_engine.estimation.integration import shorten_steps
 from casadi_engine.estimation.looked_along import along_parameters, along_states, together
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
+from casadi_engine.estimation.starts import chained_nodes
 from casadi_engine.estimation.uncertainty import chained_gradient
 
 Array = NDArray[np.float64]
@@ -40,81 +52,21 @@ Array = NDArray[np.float64]
 # Directions that are looked along; so many others are looked along at once, by twice two simulations, where there are
 # more of them.
 _DIRECTIONS, _FEWER = 3, 2
-# Relative error from which a parameter that is searched by its logarithm has no symmetric interval: the ends of what is
-# symmetric in the logarithm are then off by that share.
-_WIDE = 0.15
 # Nearest place to look from [standard errors].
 _NEAR = 0.2
 # Step at which the curvature is the surface's own: over a whole one a straight line leaves a valley that bends, which
 # noise does not make rugged, and what is seen falls with the step; where noise decides it is the same at any.
 _SHORT = 0.25
+# Standard errors by which the integration may be off at such a place, and how often its steps are shortened.
+_FELT, _SHORTENED = 0.1, 4
 # Squared residuals that closing the gaps between shooting intervals may change, and how often they are closed.
 _CLOSED, _CLOSINGS = 1e-3, 6
-# Share of half an interval by which its ends may lie elsewhere than ± has them for ± to be printed: a fifth of a
-# standard error, which moves what an interval holds by 1 %. The ends of what is symmetric in a logarithm lie elsewhere
-# by as much as its relative error.
-UNEVEN = 0.1
-# Curvature that passes, and up to which a profile still tells the interval; `tests/benchmarks/CALIBRATION.md` has the
-# coverage of intervals on either side.
-_FLAT, _RUGGED = 0.4, 1.5
 # Standard errors by which another parameter may bend: with c of them at two standard errors along a direction,
 # chi-squared d standard errors off, at its lowest z of them along it, is (d - c z^2/4)^2 + z^2, and that is lower than
 # d^2 at the ends of a 95 % interval only where c is above 1.02.
 _BENDS = 1.0
-# Chi-squared above the lowest at which another optimum still counts: it has exp(-5) of the likelihood, and where there
-# is one there may be others that no start has met.
-_RIVAL = 10.0
-# Size of a residual over what an output varies by that is worse than a constant; fewest samples that say so.
-_WORSE, _FEW = 1.1, 8
-# Chi-squared below which a place is no lower.
-_LOWER = 0.1
-# Share of a quantity's variance along a doubted direction from which its error is doubted: where optima may be twelve
-# standard errors apart, that is a tenth of one; where an interval changes its shape, or to another optimum, a third.
-_SHARE = {"rugged": 1e-4, "curved": 0.1, "bent": 0.1, "rival": 0.1}
-CALL = "call ce.posterior(fit)"
 # Logarithm of the growth of a change of the start from which a straight step leads nowhere near where the motion goes.
 _BENT = float(np.log(1e3))
-
-
-@dataclass(frozen=True, eq=False)
-class Doubt:
-    """Why some standard errors are not those of the quadratic.
-
-    kind : "rival" (another optimum was found), "lost" (a constant explains an output better), "rugged" (noise makes
-    optima), "curved", "bent" (by another parameter), "bound" or "uneven", for which an interval by profile will do;
-    text : for the reader; size : how grave; move : (N,) of [v; initial states], the direction in doubt, one standard
-    error long (a rival's: to there; a bound's, and an uneven one's: the parameter)
-    """
-
-    kind: str
-    text: str
-    move: Array
-    size: float = 0.0
-
-    @property
-    def shape(self) -> bool:
-        """True if it is about the shape of an interval alone, which a profile tells."""
-        return self.profiles and self.size <= _FLAT
-
-    @property
-    def plain(self) -> bool:
-        """True if how chi-squared rises beside a parameter tells that shape."""
-        return self.kind == "uneven" or (self.kind == "curved" and self.shape)
-
-    @property
-    def profiles(self) -> bool:
-        """True if a profile of the likelihood tells the interval."""
-        return self.kind in ("curved", "bent", "bound", "uneven")
-
-    def about(self, slope: Array, covariance: Array) -> bool:
-        """True if this is about a quantity with this slope (N,)."""
-        if self.kind == "lost":
-            return True
-        if self.kind == "bound":
-            return bool(slope @ self.move)
-        if self.kind == "uneven":  # what depends on others too may be even
-            return np.array_equal(slope != 0, self.move != 0)
-        return bool((slope @ self.move) ** 2 > _SHARE[self.kind] * (slope @ covariance @ slope))
 
 
 def doubts_of(
@@ -136,17 +88,17 @@ def doubts_of(
         return (), {}, {}
     rises: dict[str, Rises] = {}
     of_states: dict[int, Rises] = {}
-    found = _rivals(search, best, errors, optima)
-    found += _lost(search, errors, residuals)
-    found += [] if found else _exchanged(search, errors)
+    found = rivals(search, best, errors, optima)
+    found += lost(search, errors, residuals)
+    found += [] if found else exchanged(search, errors)
     if growing(search, best) is None:
         around = _Around(search, best, errors, residuals)
         for move in around.directions():
             found += around.doubts(move)
         if all(doubt.profiles for doubt in found):
             rises, of_states = around.rises(found), around.state_rises(found)
-            found += _uneven(search, errors, rises)
-    found += _bounds(search, wider or errors, rises) + _state_bounds(search, wider or errors)
+            found += uneven(search, errors, rises)
+    found += bounds(search, wider or errors, rises) + state_bounds(search, wider or errors)
     return tuple(found), rises, of_states
 
 
@@ -228,7 +180,7 @@ class _Around:
         there = [self._simulated(move, far, printed=False) for far in (-sides[0], sides[1])]
         if there[0] is None or there[1] is None:
             return True
-        return count * self._even(sides[0], sides[1], there[0][1], there[1][1]) > _FLAT
+        return count * self._even(sides[0], sides[1], there[0][1], there[1][1]) > FLAT
 
     def doubts(self, move: Array) -> list[Doubt]:
         """What is seen to both sides of the optimum.
@@ -260,11 +212,17 @@ class _Around:
             return [Doubt("rugged", f"{text}; {CALL}", move, np.inf)]
         if self._plainly(fars, there[0], there[1]):
             return []
-        (low, bent, off), (high, other, away) = (
-            self._seen(move, far, *one) for far, one in zip(fars, (there[0], there[1]), strict=True)
-        )
+        if self._integrated(move, fars, printed=printed):  # steps that do at the optimum may not do there
+            there = [self._simulated(move, far, printed=printed) for far in fars]
+        back, forth = there
+        if back is None or forth is None:
+            return None
+        if self._plainly(fars, back, forth):
+            return []
+        low, bent, off = self._seen(move, fars[0], *back)
+        high, other, away = self._seen(move, fars[1], *forth)
         curvature = max(bent, other)
-        if curvature > _RUGGED:
+        if curvature > RUGGED:
             near = max(fars[0], -_SHORT), min(fars[1], _SHORT)
             curvature = min(curvature, self._own_curvature(move, near, printed=printed))
         return self._told(move, (low, high), curvature, np.maximum(off, away))
@@ -320,14 +278,14 @@ class _Around:
     def _told(self, move: Array, rises: tuple[float, float], curvature: float, bends: Array) -> list[Doubt]:
         """The doubts that follow from what is seen along a line; see ``_seen``."""
         names = _names_along(self.search, move)
-        if curvature > _RUGGED:
+        if curvature > RUGGED:
             text = (
                 f"the errors are not known: within them the model is far from linear along {names} (curvature "
                 f"{curvature:.2g}, flat below 0.5), so that noise decides which optimum is the lowest; {CALL}"
             )
             return [Doubt("rugged", text, move, curvature)]
         found, matrix = [], self.errors.kept
-        if curvature > _FLAT or not all(RISES[0] < rise < RISES[1] for rise in rises):
+        if curvature > FLAT or not all(RISES[0] < rise < RISES[1] for rise in rises):
             low, high = (FAR**2 * rise for rise in rises)
             text = (
                 f"the likelihood is not quadratic along {names}: {FAR:g} standard errors away chi-squared rises by "
@@ -342,12 +300,16 @@ class _Around:
             found.append(Doubt("bent", text, matrix[:, k] / np.sqrt(matrix[k, k])))
         return found
 
+    def _moved(self, move: Array, far: float, *, printed: bool) -> tuple[Array, Array]:
+        """The coordinates (nv,) so far along a line, and the step (N,) there."""
+        step, coordinates, nv = far * move, self.search.coordinates, self.search.problem.nv
+        if not printed:
+            return self.errors.v + step[:nv], step
+        return coordinates.of(coordinates.values(self.errors.v) + (self._to_printed * step)[:nv]), step
+
     def _simulated(self, move: Array, far: float, *, printed: bool) -> tuple[float, list[Array]] | None:
         """Rise of chi-squared and change of each record's residual (K, M); None where the model has no value."""
-        step, coordinates, nv = far * move, self.search.coordinates, self.search.problem.nv
-        v = self.errors.v + step[:nv]
-        if printed:
-            v = coordinates.of(coordinates.values(self.errors.v) + (self._to_printed * step)[:nv])
+        v, step = self._moved(move, far, printed=printed)
         try:
             found = self._residuals(v, step)
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
@@ -355,6 +317,29 @@ class _Around:
         rise = printed_cost(self.search, v, found) - self.cost
         change = [there - here for there, here in zip(found, self.residuals, strict=True)]
         return (rise, change) if np.isfinite(rise) else None
+
+    def _integrated(self, move: Array, fars: tuple[float, float], *, printed: bool) -> bool:
+        """Give the records steps that do at these places too; True if any has shorter ones now."""
+        records, changed, nv = self.search.records, False, self.search.problem.nv
+        if self.long or all(record.linear for record in records):
+            return False
+        for far in fars:
+            v, step = self._moved(move, far, printed=printed)
+            at = nv
+            for record, lay in zip(records, self.search.problem.layouts, strict=True):
+                start = lay.take(self.errors.x)[0] + step[at : at + record.n]
+                at += record.n
+                try:
+                    nodes = chained_nodes(record, v, start)
+                    for _ in range(_SHORTENED):
+                        if not shorten_steps([record], v, [nodes], shift=_FELT):
+                            break
+                        changed, nodes = True, chained_nodes(record, v, start)
+                except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+                    continue
+        if changed:
+            self.search.problem.forget()
+        return changed
 
     def _plainly(
         self,
@@ -366,7 +351,7 @@ class _Around:
         a, b = -fars[0], fars[1]
         if not all(RISES[0] < one[0] / far**2 < RISES[1] for one, far in ((back, a), (forth, b))):
             return False
-        return self._even(a, b, back[1], forth[1]) < _FLAT
+        return self._even(a, b, back[1], forth[1]) < FLAT
 
     def _even(self, a: float, b: float, back: Sequence[Array], forth: Sequence[Array]) -> float:
         """The curvature that the even part of the changes of the residuals is, a standard errors back and b forth."""
@@ -452,11 +437,6 @@ def _followed(record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, st
     return residual(record, outputs) + felt
 
 
-def entries_of(search: Search, x: Array) -> Array:
-    """The parameters and initial states (N,) of variables (size,)."""
-    return np.concatenate([x[: search.problem.nv], *[lay.take(x)[0] for lay in search.problem.layouts]])
-
-
 def _gravity(found: Sequence[Doubt]) -> tuple[bool, bool, float]:
     """How grave doubts are, for the milder of two."""
     return bool(found), any(not one.profiles for one in found), max((one.size for one in found), default=0.0)
@@ -496,123 +476,3 @@ def _states_along(search: Search, move: Array) -> str:
             return f"the first {', '.join(names)} of {record.experiment.name}"
         at += record.n
     return "the first states"
-
-
-# ---- other optima, bounds
-
-
-def _rivals(search: Search, best: Attempt, errors: Uncertainty, optima: Sequence[Optimum]) -> list[Doubt]:
-    """Other optima that the starts found and that the data hardly tell from the best."""
-    limit = best.cost + max(_RIVAL, chi2_isf(0.05, search.problem.nv))
-    others = [one for one in optima if one.status == "converged" and one.apart and one.cost <= limit]
-    found = []
-    ways = "; ".join(f"{one.apart} at a cost {one.cost - best.cost:.2g} higher" for one in others[:3])
-    text = (
-        f"{len(others)} other optim{'a explain' if len(others) > 1 else 'um explains'} the data as well: {ways}; "
-        f"the errors are not known, {CALL}"
-    )
-    for one in others:
-        there = search.coordinates.of(np.array([one.values[name] for name in search.pmap.free]))
-        found.append(Doubt("rival", text, _with_states(errors, there)))
-    return found
-
-
-def _lost(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> list[Doubt]:
-    """Outputs that a constant explains better than the simulation does: hardly the lowest optimum, unless the model is
-    another one, and either way no place to take errors from."""
-    found = []
-    for record, left in zip(search.records, residuals, strict=True):
-        for name, own in record.grid.measured.items():
-            k, r = search.levels.outputs.index(name), record.observation.series(left, name)
-            noise = 0.0 if search.levels.estimated[k] else _WORSE**2  # of the level that was stated
-            size = float(np.mean(r**2)) if len(r) >= _FEW else 0.0
-            if not size > max(noise, _WORSE**2 * float(np.var(own.values)) / float(search.sigma[k]) ** 2):
-                continue
-            text = (
-                f"a constant explains {record.experiment.name}/{name} better than the simulation does: the errors are "
-                "not known; search from elsewhere, as by starts=10 or approach='prediction', or look what the model "
-                "lacks"
-            )
-            found.append(Doubt("lost", text, np.zeros(len(errors.covariance.matrix))))
-    return found
-
-
-def _exchanged(search: Search, errors: Uncertainty) -> list[Doubt]:
-    """What explains the data as well: parameters of one unit with their values exchanged, or other signs."""
-    found = []
-    for twin in twins(search, errors, _RIVAL):
-        if twin.higher < -_LOWER:
-            text = (
-                f"the data are explained better with {twin} (chi-squared {-twin.higher:.2g} "
-                "lower): this is not the lowest optimum; start from there, or search with starts=10"
-            )
-        else:
-            apart = "bounds or known first states"
-            if twin.pairs:
-                one, other = twin.pairs[0]
-                apart = f'bounds, or by pars.constrain("{one} - {other}", min=0) or max=0'
-            text = (
-                f"the data are explained as well with {twin} (chi-squared at most {max(twin.higher, 0.0):.2g} higher): "
-                f"the errors of what differs there are not known; tell them apart by {apart}, or {CALL}"
-            )
-        there = np.concatenate([twin.v, *twin.starts])
-        here = np.concatenate([errors.v, *(lay.take(errors.x)[0] for lay in search.problem.layouts)])
-        moved = _with_states(errors, twin.v) if twin.pairs else there - here
-        found.append(Doubt("rival", text, moved))
-    return found
-
-
-def _with_states(errors: Uncertainty, v: Array) -> Array:
-    """The move (N,) from an optimum to a point v (nv,), the initial states going with it."""
-    matrix, nv, moved = errors.covariance.matrix, len(v), v - errors.v
-    return np.concatenate([moved, matrix[nv:, :nv] @ np.linalg.pinv(matrix[:nv, :nv]) @ moved])
-
-
-def _uneven(search: Search, errors: Uncertainty, rises: Mapping[str, Rises]) -> list[Doubt]:
-    """Parameters whose interval has its ends elsewhere than ± has them."""
-    found, values = [], search.coordinates.values(errors.v)
-    slopes = search.coordinates.slope(errors.v)
-    for name, own in rises.items():
-        k, ends = search.pmap.free.index(name), own.ends(FAR)
-        one = np.eye(1, len(errors.covariance.matrix), k)[0]
-        half = FAR * own.size * slopes[k]
-        at = [errors.v + (end - own.at) * one[: len(values)] for end in ends or ()]
-        off = [abs(abs(search.coordinates.values(v)[k] - values[k]) / half - 1) for v in at]
-        if max(off, default=np.inf) > UNEVEN:
-            found.append(Doubt("uneven", f"the likelihood is not symmetric in {name}", one))
-    return found
-
-
-def _bounds(search: Search, errors: Uncertainty, rises: Mapping[str, Rises]) -> list[Doubt]:
-    """Parameters whose interval of two standard errors reaches a bound, is too wide to be symmetric as far as no rises
-    are known, or is wider to the side to which they go with what is at a bound and may be inside."""
-    found, matrix, low, high = [], errors.covariance.matrix, search.lower, search.upper
-    kept, resting = errors.kept, [n for n, side in zip(search.pmap.free, errors.bound, strict=False) if side]
-    for k, name in enumerate(search.pmap.free):
-        value, size = errors.v[k], float(np.sqrt(matrix[k, k]))
-        if errors.bound[k] is not False or not size:
-            continue
-        if not low[k] <= value - FAR * size < value + FAR * size <= high[k]:
-            side = "lower" if value - FAR * size < low[k] else "upper"
-            found.append((k, f"{name} reaches its {side} bound within {FAR:g} standard errors"))
-        elif search.coordinates.log[k] and size > _WIDE and name not in rises:
-            found.append((k, f"{name} is known to {100 * size:.2g} %"))
-        elif size > (1 + _WIDE) * np.sqrt(max(kept[k, k], 0.0)):
-            found.append((k, f"{name} goes with {' and '.join(resting)}, at a bound"))
-    return [Doubt("bound", text, np.eye(len(matrix))[k]) for k, text in found]
-
-
-def _state_bounds(search: Search, errors: Uncertainty) -> list[Doubt]:
-    """Initial states whose interval of two standard errors reaches a bound."""
-    matrix, at, found = errors.covariance.matrix, search.problem.nv, []
-    here, low, high = (entries_of(search, x) for x in (errors.x, search.lower, search.upper))
-    for record in search.records:
-        for k, state in enumerate(record.model.states, start=at):
-            size = float(np.sqrt(max(matrix[k, k], 0.0)))
-            below = here[k] - FAR * size < low[k]
-            if size and errors.bound[k] is False and (below or here[k] + FAR * size > high[k]):
-                side = "lower" if below else "upper"
-                text = f"the first {state.name} of {record.experiment.name} reaches its {side} bound"
-                found.append(Doubt("bound", f"{text} within {FAR:g} standard errors", np.eye(len(matrix))[k]))
-        at += record.n
-    return found

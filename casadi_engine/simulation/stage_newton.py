@@ -25,8 +25,9 @@ Function = Callable[[Array, Array], Sequence[Array]]
 _ITERATIONS, _LEAST, _LESS = 200, 1e-12, 0.1
 # Units of work that one iteration costs, however few steps there are.
 _CALL = 200
-# The length of a step is ramped up from this share of it, and by no less than the least; so often at most.
-_FIRST, _FINEST, _RAMPED = 0.125, 1e-3, 40
+# The length of a step is ramped up from this share of it, and by no less than the least; so often at most, with so many
+# iterations each: from near by, few arrive or none do.
+_FIRST, _FINEST, _RAMPED, _SOON = 0.125, 1e-3, 40, 10
 
 
 def stages_of(
@@ -49,6 +50,7 @@ def stages_of(
             scheme, function, x[:, doubted], still[..., doubted], rest
         )
         doubted = doubted[~sure]
+    doubted = doubted[np.isfinite(found[..., doubted]).all(axis=(0, 1))]  # others have no root at all
     if len(doubted):
         rest = given[:, _of(doubted, scheme.stages, x.shape[1])]
         ramped = _ramped(scheme, function, x[:, doubted], rest)
@@ -81,7 +83,7 @@ def _ramped(scheme: Tableau, function: Function, x: Array, given: Array) -> Arra
 
         guess = stages[..., left] + before[..., left] * (to - grown[left])
         known = np.vstack([given[:, _of(left, size, count)], many])
-        found, sure, _ = solve_stages(scheme, part, x[:, left], guess, known)
+        found, sure, _ = solve_stages(scheme, part, x[:, left], guess, known, most=_SOON)
         went = left[sure]
         before[..., went] = (found[..., sure] - stages[..., went]) / (to[sure] - grown[went])
         stages[..., went], grown[went] = found[..., sure], to[sure]
@@ -92,7 +94,7 @@ def _ramped(scheme: Tableau, function: Function, x: Array, given: Array) -> Arra
 
 @np.errstate(all="ignore")  # what does not arrive has no numbers
 def solve_stages(
-    scheme: Tableau, function: Function, x: Array, guess: Array, given: Array
+    scheme: Tableau, function: Function, x: Array, guess: Array, given: Array, *, most: int = _ITERATIONS
 ) -> tuple[Array, NDArray[np.bool_], Array]:
     """Stage values (stages, n, K) of implicit steps from x (n, K), NaN for those where Newton's method does not arrive;
     whether each is the root that belongs to the guess; and the changes that the first iteration asked for.
@@ -109,7 +111,7 @@ def solve_stages(
     base, change = stages, np.full(stages.shape, np.inf)
     norm, share = np.full(len(left), np.inf), np.ones(len(left))
     own, rest = x[:, left], known[..., left]
-    for iteration in range(_ITERATIONS):
+    for iteration in range(most):
         if not len(left):
             break
         ask(_CALL + size * len(left))
