@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.growth import log_growth
+from casadi_engine.estimation.growth import in_their_sizes, log_growth
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ def grows(record: RecordTerm, point: RecordPoint, most: float = _GROWN) -> bool:
     ends = point.path.end_s
     if not record.n or record.plan.m < 2 or not np.isfinite(ends).all():
         return False
-    return log_growth(ends, record.plan.m - 1) > most
+    return log_growth(in_their_sizes(point), record.plan.m - 1) > most
 
 
 def eliminated(record: RecordTerm, point: RecordPoint, kept: NDArray[np.bool_]) -> tuple[Array, Array] | None:

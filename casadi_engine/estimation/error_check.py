@@ -38,7 +38,7 @@ from casadi_engine.estimation.exchanged import linear_residual
 from casadi_engine.estimation.final_check import printed_cost, residual, response
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.foreseen_ends import FAR, RISES, Rises
-from casadi_engine.estimation.growth import log_growth
+from casadi_engine.estimation.growth import in_their_sizes, log_growth
 from casadi_engine.estimation.integration import shorten_steps
 from casadi_engine.estimation.looked_along import along_parameters, along_states, together
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
@@ -109,7 +109,7 @@ def growing(search: Search, best: Attempt) -> str | None:
     for record, point in zip(search.records, points, strict=True):
         far = grows(record, point)  # then slopes are lost with which coloured noise would count
         if far or (not record.linear and grows(record, point, _BENT)):
-            times = np.exp(log_growth(point.path.end_s, record.plan.m - 1))
+            times = np.exp(log_growth(in_their_sizes(point), record.plan.m - 1))
             white = " with white noise" if far else ""
             return (
                 f"the errors are those of the curvature at the optimum{white}, and were not checked away from it: a "

@@ -40,13 +40,22 @@ def log_growth(end_s: Array, intervals: int) -> float:
     return largest
 
 
+def in_their_sizes(point: RecordPoint) -> Array:
+    """The transition matrices (1 or m, n, n) of a record between states in units of the largest that they take: what is
+    a growth does not depend on units."""
+    ends = point.path.end_s
+    size = np.abs(point.path.end).max(axis=1)
+    size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    return np.asarray(ends * (size / size[:, None]))
+
+
 def length_for(record: RecordTerm, point: RecordPoint) -> float | None:
     """The length [s] of a record over which a change of its start grows no more than can be followed; None for one that
     is as short."""
     intervals = record.plan.m - 1
     if not record.n or intervals < 1 or not np.isfinite(point.path.end_s).all():
         return None
-    log = log_growth(point.path.end_s, intervals)
+    log = log_growth(in_their_sizes(point), intervals)
     if log <= ROUNDING:
         return None
     return float(_FOLLOWED * ROUNDING / log * intervals * record.plan.length * record.grid.step)
@@ -57,7 +66,7 @@ def check_growth(records: Iterable[RecordTerm], points: Iterable[RecordPoint]) -
     for record, point in zip(records, points, strict=True):
         if not record.n or record.plan.m < 2 or not np.isfinite(point.path.end_s).all():
             continue
-        log = log_growth(point.path.end_s, record.plan.m - 1)
+        log = log_growth(in_their_sizes(point), record.plan.m - 1)
         if log > _LARGEST:
             stated = record.gain is not None
             raise EstimationError(

@@ -186,6 +186,7 @@ class _Warm:
     initial: Mapping[str, Any]
     noise: Mapping[str, tuple[float, bool]]
     converged: bool
+    fineness: Mapping[str, Any]  # steps that are longer may leap where the fit's did not
 
 
 @dataclass
@@ -336,7 +337,7 @@ class _Walker:
             (self.fit.values, self.fit.initial),
         ):
             found.append(
-                self._estimated(held, _Warm(values, initial, self.fit.noise, converged=self.in_full))
+                self._estimated(held, _Warm(values, initial, self.fit.noise, self.in_full, last.fit.fineness))
             )
             if found[-1].converged and found[-1].cost - self.base <= most:
                 break
