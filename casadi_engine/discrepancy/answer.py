@@ -29,6 +29,7 @@ from casadi_engine.discrepancy.certificate import (
     noise_found,
     place_of,
     score_rows,
+    unknown_of,
 )
 from casadi_engine.discrepancy.choice import ANY, TIME_UP, Choice
 from casadi_engine.discrepancy.claim import (
@@ -96,6 +97,7 @@ _LEFT_OUT = {
     "leftover": "what no effect of the library names",
     "latent torque": "where something acts",
     "unknown law": "a law that no effect names, in the place of those found",
+    "imitators": "what the effects do beside a law that no effect names",
     "refitted law": "what such a law does as a part of the equations",
     "left out": "what was left out and does the same",
 }
@@ -133,7 +135,9 @@ class Answer:
             self.messages.append(self.portion.why)
         proof = self._timed("confirm", self.fresh.run)
         proof, last = self._honest(proof)
-        claim = self._held_to_laws(self._claimed(proof, last), null)
+        claim = self._claimed(proof, last)
+        null = self.search.null  # in the colour of its noise by now
+        claim = self._held_to_laws(claim, null)
         if claim.found and claim.unknown is None:
             claim = replace(claim, unknown=self._behind_a_filter(claim) or more_than_stated(claim.last))
         found, last, proof = claim.found, claim.last, claim.proof
@@ -195,7 +199,24 @@ class Answer:
         claim = Claim(proof, last, found, withdrawn, unknown)
         sure = proof.judgement is not None and bool(proof.judgement.confirmed)
         doubt = reason_to_withdraw(claim, null, sure, cut=cut) if found else None
-        return claim if doubt is None else claim.withdrawn_for(doubt, null, TOO_LITTLE)
+        if doubt is None:
+            return claim
+        seen = self._in_own_colour(null)
+        if (
+            not sure
+            and seen is not null
+            and not seen.screened.significant
+            and unknown_of(seen.screened) is None
+        ):
+            doubt = None  # white noise alone had made findings of colour
+        return claim.withdrawn_for(doubt, seen, TOO_LITTLE)
+
+    def _in_own_colour(self, null: Station) -> Station:
+        """The model without effects, scored with the colour of its residual where that waited."""
+        if not null.screened.choice.waits:
+            return null
+        seen: Station | None = self._in_time("leftover", lambda: self.search.as_chosen(frozenset()))
+        return null if seen is None else seen
 
     def _may_be_rounding(self, last: Station, unknown: Unknown) -> bool:
         """True where a function at a port is what rounded corners leave of a law there, and sharper ones are felt."""
@@ -336,7 +357,11 @@ class Answer:
         if tried is None or len(tried.effects) < 2:
             return 0
         refits = self.search.refits
-        return self._in_time("unknown law", lambda: imitators(refits, tried, family.port, family.signal)) or 0
+        found: int | None = self._in_time(
+            "imitators", lambda: imitators(refits, tried, family.port, family.signal)
+        )
+        # not told by then, none of them is known to do anything beside the law
+        return len(tried.effects) if found is None else found
 
     def _honest(self, proof: Confirmation) -> tuple[Confirmation, Station]:
         """The last model with errors that count with the colour of its noise."""

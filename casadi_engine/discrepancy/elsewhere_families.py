@@ -65,20 +65,23 @@ def functions_of(null: NullModel, port: str, signal: str) -> tuple[list[Candidat
 
 def _places(null: NullModel) -> list[tuple[Port, Signal]]:
     """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter, at a sensor
-    time alone."""
+    time and the inputs that no equation uses."""
     model = null.model
     every = [(s.name, model.x[k]) for k, s in enumerate(model.states)]
     every += [(u.name, model.u[k]) for k, u in enumerate(model.inputs)]
     made: dict[str, Signal] = {
         name: Signal(name, symbol, along(null, symbol)) for name, symbol in [*every, (TIME, model.t)]
     }
+    # a sensor may feel what was recorded and acts on nothing else
+    acting = ca.vertcat(model.ode, model.laws, model.drive_expressions, model.output_expressions, ca.SX(0))
+    unused = [u.name for k, u in enumerate(model.inputs) if not ca.depends_on(acting, model.u[k])]
     found = []
     for port in model.ports:
         if port.kind == "parameter" and "." not in port.parameter and _acts(model, port):
             at_ports = _said_at_ports(model, port, every)
             found += [(port, signal) for name, signal in made.items() if name not in at_ports]
         elif port.kind == "sensor":
-            found.append((port, made[TIME]))
+            found += [(port, made[name]) for name in (TIME, *unused)]
         elif port.slot is not None:
             own = list(port.signals.values())
             found += [(port, made[name]) for name, symbol in every if not _is_known(symbol, own)]

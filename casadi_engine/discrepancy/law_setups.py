@@ -102,16 +102,16 @@ def setups_at(refits: Refits, tried: Tried, port: Port) -> list[Setup]:
 
 
 def setups_elsewhere(refits: Refits, tried: Tried, family: Family) -> list[Setup]:
-    """A function of a state or an input that is no signal of its port: at a parameter as large as its value."""
+    """A function of a state or an input that is no signal of its port: at a parameter as large as its value, at a
+    sensor as what it shows varies."""
     plain = refits.refitter.extended(tried.effects)
     names = [s.name for s in plain.states] + [u.name for u in plain.inputs]
     if family.signal not in names or family.port not in plain.ports.names:
         return []
     symbol = ca.vertcat(plain.x, plain.u)[names.index(family.signal)]
     port = plain.ports[family.port]
-    if port.slot is None and not (
-        port.parameter in plain.parameter_names and _in_equations_alone(plain, port)
-    ):
+    constant = port.parameter in plain.parameter_names and _in_equations_alone(plain, port)
+    if port.slot is None and port.kind != "sensor" and not constant:
         return []
     seen = replace(port, signals={**port.signals, family.signal: symbol})
     model = replace(plain, ports=Ports([seen if one.name == port.name else one for one in plain.ports]))
@@ -125,7 +125,12 @@ def setups_elsewhere(refits: Refits, tried: Tried, family: Family) -> list[Setup
             )
             paths = problem.measured_paths(tried.arrived.values)
             values = _along(paths, symbol)
-            size = abs(probe.parameters[port.parameter].value) if port.parameter else _size(probe, paths)
+            if port.kind == "sensor":
+                name = port.name.removeprefix("sensor_")
+                shown = [np.asarray(r[name].values)[r[name].mask] for r in refits.refitter.data if name in r]
+                size = float(np.std(np.concatenate(shown)))
+            else:
+                size = abs(probe.parameters[port.parameter].value) if port.parameter else _size(probe, paths)
     except FAILURES:
         return []
     if not (_moves(values) and math.isfinite(size) and size > 0):

@@ -89,13 +89,16 @@ def with_error(value: float, stderr: float | None) -> str:
     return f"{'0' if value == 0 else f'{value:.{digits}e}'} ± {stderr:.1e}"
 
 
-def with_interval(low: float, high: float) -> str:
-    """Write a 95 % interval, its ends with two significant digits of its half width.
+def with_interval(low: float, high: float, value: float | None = None) -> str:
+    """Write a 95 % interval, its ends with two significant digits of its half width, or of how far each is from a
+    value between them.
 
-    >>> with_interval(0.02134, 0.04871), with_interval(0.0, 3.1e-7)
-    ('95 %: 0.021 to 0.049', '95 %: 0 to 3.1e-07')
+    >>> with_interval(0.02134, 0.04871), with_interval(0.0, 3.1e-7), with_interval(0.534, 42.63, 0.887)
+    ('95 %: 0.021 to 0.049', '95 %: 0 to 3.1e-07', '95 %: 0.53 to 43')
     """
-    ends = (with_error(end, (high - low) / 2).split(" ±")[0] for end in (low, high))
+    half = (high - low) / 2
+    apart = (half if value is None else min(abs(end - value) or half, half) for end in (low, high))
+    ends = (with_error(end, own).split(" ±")[0] for end, own in zip((low, high), apart, strict=True))
     return f"95 %: {' to '.join(ends)}"
 
 
@@ -293,7 +296,9 @@ def _notes(fit: Fit, name: str, estimate: Estimate) -> list[str]:
     parameter = parameter_of(fit, name)
     notes = []
     if estimate.interval is not None:
-        notes.append(with_interval(*estimate.interval) + _open_to(estimate.interval, parameter))
+        notes.append(
+            with_interval(*estimate.interval, estimate.value) + _open_to(estimate.interval, parameter)
+        )
     if estimate.at_bound:
         notes.append(f"at its {BOUND_WORDS[estimate.at_bound]} bound: no symmetric error")
     if name in fit.start:
@@ -319,7 +324,7 @@ def initial_words(fit: Fit, record: str) -> str:
         elif estimate.at_bound:
             text += f" (at its {BOUND_WORDS[estimate.at_bound]} bound)"
         elif estimate.interval is not None:
-            text += f" ({with_interval(*estimate.interval)})"
+            text += f" ({with_interval(*estimate.interval, estimate.value)})"
         elif estimate.stderr is None and estimate.quadratic is None:  # what is doubted has a note of its own
             text += f" (no error: {estimate.why or 'not known'})"
         words.append(text)

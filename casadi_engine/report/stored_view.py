@@ -224,7 +224,8 @@ def _parameter_table(result: Result) -> str:
         error = "" if one["stderr"] is None else f" ± {one['stderr']:.2g}"
         tie = f"== {one['tie']}" if one["tie"] else "" if one["vary"] else "fixed"
         bound = f"at its {one['at_bound']} bound" if one["at_bound"] else ""
-        ends = with_interval(*one["interval"]) if "interval" in one else ""
+        low, high = one.get("interval", (0.0, 0.0))
+        ends = with_interval(low, high, one["value"]) if "interval" in one else ""
         notes = ", ".join(filter(None, (tie, bound, ends)))
         rows.append((name, f"{_text(one['value'])}{error}", one["unit"], notes))
     return table(("parameter", "value ± standard error", "unit", "note"), rows, caption="Parameters")

@@ -111,3 +111,23 @@ def test_a_parameter_that_depends_on_a_state_is_no_three_effects():
     found = ce.repair(spring(), pulled(1, "data"), fresh=pulled(2, "fresh"), starts=1, progress=False)
     assert found.verdict == "unnamed"
     assert (found.unknown.port, found.unknown.signal) == ("parameter_K", "x")
+
+
+def test_a_sensor_that_feels_a_recorded_input_is_told_so():
+    """Of what no equation uses; a power at the room that depends on time had been in its place."""
+    data, fresh = ({c.name: c for c in record(seed, "r").channels} for seed in (1, 2))
+    records = []
+    for name, own in (("data", data), ("fresh", fresh)):
+        values = {key: np.asarray(c.values) for key, c in own.items()}
+        values["heater_seen"] = values["heater_seen"] + 0.004 * values["sun"]
+        units = {key: c.unit for key, c in own.items()}
+        hold = {"P": "zero", "To": "first", "sun": "first"}
+        records.append(
+            ce.Experiment.from_arrays(name, time=np.asarray(own["P"].time), units=units, hold=hold, **values)
+        )
+    found = ce.repair(
+        rooms(), records[0], fresh=records[1], effects=["constant_torque"], starts=1, progress=False
+    )
+    assert found.verdict == "unnamed"
+    assert (found.unknown.port, found.unknown.signal) == ("sensor_heater_seen", "sun")
+    assert "the sensor heater_seen shows sun too" in " ".join(str(found).split())

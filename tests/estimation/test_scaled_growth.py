@@ -9,7 +9,10 @@ import casadi_engine as ce
 def uptake(unit):
     """A level of hundreds that a small second state draws down: stable, whatever the second one is counted in."""
     b = ce.Blueprint("uptake")
-    k, p = b.parameter("k", 0.02, unit="1/s", min=1e-4, max=1), b.parameter("p", 0.03, unit="1/s", min=1e-3, max=1)
+    k, p = (
+        b.parameter("k", 0.02, unit="1/s", min=1e-4, max=1),
+        b.parameter("p", 0.03, unit="1/s", min=1e-3, max=1),
+    )
     level, small = b.state("G"), b.state("X")
     b.ode("G", -k * (level - 90) - unit * small * level)
     b.ode("X", -p * small)
