@@ -40,7 +40,7 @@ def untold(search: Choice) -> str:
     if not screened.significant:
         return UNTOLD
     k = screened.significant[0]
-    first, z = screened.candidates[k], float(screened.scores.statistic[k])
+    first, z = screened.candidates[k], abs(float(screened.scores.statistic[k]))
     return (
         f"of the tests of single effects that of {first.effect} at {first.port} has |z| = {z:.3g}, beyond "
         f"{screened.threshold:.3g}; the time was up before effects were compared"

@@ -185,17 +185,16 @@ def unknown_law(
     ):  # which may bend to a part of it
         both = counted_with(beside_it(null, columns[best.family.name]), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
-    first = sorted((one for one in found if one.far), key=lambda one: -one.log)[:_REFITTED]
+    several = len(effects) > 1
     return UnknownLaw(
-        course,
-        log,
-        share,
-        len(effects) > 1,
-        near_of(tried, port),
-        further_by,
-        price,
-        others=tuple(one.family for one in first),
+        course, log, share, several, near_of(tried, port), further_by, price, others=_first_of(found)
     )
+
+
+def _first_of(found: Sequence[Rival]) -> tuple[Family, ...]:
+    """The most probable functions of what a port does not know itself."""
+    far = sorted((one for one in found if one.far), key=lambda one: -one.log)
+    return tuple(one.family for one in far[:_REFITTED])
 
 
 def _rival(beside: NullModel, made: Digest, family: Family, levels: Levels) -> Rival:

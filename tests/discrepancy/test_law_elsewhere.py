@@ -67,6 +67,8 @@ def test_an_input_that_no_equation_uses_acts_where_it_does():
     found = repaired(window=3.0)
     assert found.verdict == "unnamed"
     assert (found.unknown.port, found.unknown.signal) == ("room", "sun")
+    words = "no effect of the library names it: an unknown power at room that depends on sun"
+    assert words in " ".join(str(found).split())
 
 
 def test_nothing_is_found_where_there_is_nothing():

@@ -110,3 +110,41 @@ def test_a_law_beside_a_term_of_the_model_over_one_signal_that_keeps_its_sign_is
     assert told.verdict == "named"
     words = "quadratic_drag at body and what G does there add up to a curve over speed, which keeps its sign"
     assert any(text.startswith(words) for text in told.messages) == (not turned)
+
+
+@pytest.mark.parametrize(("turned", "curve"), [(False, True), (True, False)])
+def test_laws_at_two_ports_that_add_one_curve_to_an_equation_are_told_so(turned, curve):
+    """A head by n^2.3 is an offset of the speed, which acts by its square, and a constant head."""
+    b = ce.Blueprint("pump")
+    head, loss = b.parameter("a", 4.0, min=0), b.parameter("b", 3.0, min=0)
+    flow, speed = b.state("Q"), b.input("n")
+    at = b.port("pipe", "inertia", {"speed": flow}, unit="1/s")
+    b.ode("Q", head * speed**2 - loss * flow + at)
+    b.output("Q_seen", flow)
+    model = b.model()
+    for one, port in zip(
+        ce.effects.library("input_offset", "constant_torque"), ("input_n", "pipe"), strict=True
+    ):
+        model = model.with_effect(one, at=port)
+    time = np.arange(0.0, 20.0, 0.2)
+    speed = (0.0 if turned else 2.0) + np.sin(time)
+    data = ce.Experiment.from_arrays(
+        "r",
+        time=time,
+        units={"n": "1", "Q_seen": "1"},
+        n=speed,
+        Q_seen=1.3 * speed**2 + 0.1 * np.cos(3 * time),
+    )
+    fit = ce.estimate(model, data, noise=ce.Noise(Q_seen=0.1), progress=False)
+    made = found(("input_offset", "input_n", 0.01, None), ("constant_torque", "pipe", 0.01, None))
+    names = ("input_n.input_offset.offset", "pipe.constant_torque.torque")
+    own = [
+        replace(one, parameters={name: one.parameters["size"]})
+        for one, name in zip(made.effects, names, strict=True)
+    ]
+    told = told_as_one_law(replace(made, fit=fit, effects=tuple(own)))
+    said = (
+        "input_offset at input_n and constant_torque at pipe add up to a curve over n, which keeps its sign"
+    )
+    assert told.messages[0].startswith(said) == curve
+    assert told.verdict == ("class" if curve else "named")
