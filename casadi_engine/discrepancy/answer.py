@@ -251,9 +251,11 @@ class Answer:
             others = () if first is None else first.others
             again = self._law(held, partial(refitted_law, others=others), "refitted law")
             said = _said(claim, held, again, refitted=True)
+            beside = law is not None and law.is_beside and rival is not None  # it is not in their place
             if (
                 said is not None
                 and again is not None
+                and not beside
                 and (rival is None or law is None or again.log > law.log)
             ):
                 law, rival = again, said

@@ -180,9 +180,8 @@ def unknown_law(
     course = _course(best.digest, best.family, refits.levels)
     port = best.family.port
     further_by = -math.inf
-    if not any(
-        one.candidate.port == port and one.is_law for one in effects
-    ):  # which may bend to a part of it
+    bends = [one for one in effects if one.candidate.port == port and one.is_law]
+    if not any(not depends_on_more(one, best.family.signal) for one in bends):  # else to a part of it
         both = counted_with(beside_it(null, columns[best.family.name]), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
     several = len(effects) > 1
