@@ -115,6 +115,7 @@ def test_a_parameter_that_depends_on_a_state_is_no_three_effects():
     assert (found.unknown.port, found.unknown.signal) == ("parameter_K", "x")
 
 
+@pytest.mark.slow  # the quick run has the same input at a port
 def test_a_sensor_that_feels_a_recorded_input_is_told_so():
     """Of what no equation uses; a power at the room that depends on time had been in its place."""
     data, fresh = ({c.name: c for c in record(seed, "r").channels} for seed in (1, 2))
