@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casadi_engine.cli.folder import earlier_arguments, refuse_others, remove_files
+from casadi_engine.cli.folder import is_ours, refuse_others, remove_files
 from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NO_ANSWER, Job, complain, say, uninterrupted
 from casadi_engine.cli.work import say_answer
 from casadi_engine.errors import CasadiEngineError, UntrustedPosteriorError
@@ -36,6 +36,9 @@ def draw(job: Job, fit: Fit) -> int:
 
     try:
         found = posterior(fit, seed=job.options.seed, progress=_line if sys.stderr.isatty() else None)
+    except KeyboardInterrupt:
+        complain("fit", f"interrupted before the posterior; the fit itself is in {job.folder}")
+        return INTERRUPTED
     except CasadiEngineError as error:
         stopped = isinstance(error, UntrustedPosteriorError) and str(error.seen).startswith("Ctrl-C")
         complain("fit", f"no posterior: {error}; the fit itself is in {job.folder}")
@@ -52,7 +55,7 @@ def draw(job: Job, fit: Fit) -> int:
 
 
 def _own(folder: Path) -> bool:
-    return earlier_arguments(folder).get("posterior") is True
+    return is_ours(folder, FILES[0])
 
 
 def _line(what: str, evaluations: int) -> None:

@@ -8,7 +8,6 @@ import os
 import secrets
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from casadi_engine.errors import OutputError
 
@@ -50,10 +49,10 @@ def refuse_others(folder: Path, names: Iterable[str]) -> None:
             )
 
 
-def is_ours(folder: Path) -> bool:
-    """True if the result.json of a folder is one of this program's."""
+def is_ours(folder: Path, name: str = "result.json") -> bool:
+    """True if a file of results in a folder is one of this program's."""
     try:
-        found = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+        found = json.loads((folder / name).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
     return isinstance(found, dict) and {"schema", "command"} <= set(found)
@@ -78,16 +77,6 @@ def simulated_files(folder: Path) -> tuple[str, ...]:
     names = earlier.get("files")
     listed = names if isinstance(names, list) else []
     return tuple(n for n in listed if isinstance(n, str) and n.endswith(".csv") and n == os.path.basename(n))
-
-
-def earlier_arguments(folder: Path) -> dict[str, Any]:
-    """The arguments of the command that left the result.json of `folder`; none in doubt."""
-    try:
-        earlier = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    found = earlier.get("arguments") if isinstance(earlier, dict) else None
-    return found if isinstance(found, dict) else {}
 
 
 def remove_files(folder: Path, names: Iterable[str]) -> None:

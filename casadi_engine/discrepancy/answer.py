@@ -241,13 +241,14 @@ class Answer:
         # looked for everywhere: effects may imitate it, and what is coloured may hide it
         near = unknown_law if null.screened.request.blind else partial(unknown_law, everywhere=True)
         held = claim.nearest or last  # effects that leave too much are still nearer than none
-        law = self._law(held, near) if found or sure or (unknown is None and coloured) else None
+        looked = bool(found) or sure or (unknown is None and coloured)
+        law = self._law(held, near) if looked else None
         rival = _said(claim, held, law)
         # near the truth the law that is linearised is told from the effects, if slopes tell; else it is refitted
         asked = rival is not None or bool(found and law is None) or (unknown is not None and not found)
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
-            first = law if law is not None else self._law(held, near)
+            first = law if looked else self._law(held, near)
             others = () if first is None else first.others
             again = self._law(held, partial(refitted_law, others=others), "refitted law")
             said = _said(claim, held, again, refitted=True)

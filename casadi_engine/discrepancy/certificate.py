@@ -283,7 +283,7 @@ def law_words(model: Model, family: Family) -> str:
     if port.kind == "sensor" and family.signal == TIME:
         return f"the sensor {name} drifts with time"
     if port.kind == "sensor" and family.signal not in port.signals:
-        return f"the sensor {name} shows {family.signal} too"
+        return f"the sensor {name} depends on {family.signal} too"
     if port.kind in ("input", "sensor"):
         return f"the {kind} {name} {'acts as' if kind == 'input' else 'shows'} another function of its value"
     if port.kind == "parameter":

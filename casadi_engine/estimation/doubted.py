@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.distributions import chi2_isf
 from casadi_engine.estimation.beside_optimum import UNEVEN, entries_of
-from casadi_engine.estimation.doubt import CALL, Doubt
+from casadi_engine.estimation.doubt import CALL, FLAT, Doubt
 from casadi_engine.estimation.error_check import doubts_of, growing, words_of
 from casadi_engine.estimation.fit import Estimate, Optimum
 from casadi_engine.estimation.foreseen_ends import Rises
@@ -87,13 +87,12 @@ def judged(
             estimates[name] = _without_error(estimates[name], doubt, interval)
     felt = [doubt for doubt in about.values() if doubt is not None]
     felt += _states_judged(search, white, errors, doubts, of_states, initial, but_shape=bool(alike))
-    left = [name for name in free if about[name] is not None]
     own = [doubt for doubt in doubts if any(doubt is one for one in felt)]
-    return Judged(
-        _bent_ties(search, errors, estimates),
-        initial,
-        (*words_of(own, [name for name in left if name not in ends]), *told),
-    )
+    said = words_of(own, [name for name in free if about[name] is not None and name not in ends])
+    alone = sum(one.starts for one in optima) < _SEVERAL and not all(one.linear for one in search.records)
+    if said and ends and alone and any(one.profiles and one.size > FLAT for one in own):
+        said[-1] += "; the intervals are of the one optimum that was found: starts=10 looks for others"
+    return Judged(_bent_ties(search, errors, estimates), initial, (*said, *told))
 
 
 def _few(search: Search, errors: Uncertainty) -> tuple[str, ...]:

@@ -207,16 +207,14 @@ class _Around:
         fars = -sides[0], sides[1]
         there = [self._simulated(move, far, printed=printed) for far in fars]
         if there[0] is None or there[1] is None:
-            names = _names_along(self.search, move)
-            text = f"the errors are not known: within {FAR:g} standard errors along {names} the model has no value"
-            return [Doubt("rugged", f"{text}; {CALL}", move, np.inf)]
+            return [self._without_value(move)]
         if self._plainly(fars, there[0], there[1]):
             return []
         if self._integrated(move, fars, printed=printed):  # steps that do at the optimum may not do there
             there = [self._simulated(move, far, printed=printed) for far in fars]
         back, forth = there
         if back is None or forth is None:
-            return None
+            return [self._without_value(move)]
         if self._plainly(fars, back, forth):
             return []
         low, bent, off = self._seen(move, fars[0], *back)
@@ -226,6 +224,13 @@ class _Around:
             near = max(fars[0], -_SHORT), min(fars[1], _SHORT)
             curvature = min(curvature, self._own_curvature(move, near, printed=printed))
         return self._told(move, (low, high), curvature, np.maximum(off, away))
+
+    def _without_value(self, move: Array) -> Doubt:
+        names = _names_along(self.search, move)
+        text = (
+            f"the errors are not known: within {FAR:g} standard errors along {names} the model has no value"
+        )
+        return Doubt("rugged", f"{text}; {CALL}", move, np.inf)
 
     def rises(self, doubts: Sequence[Doubt]) -> dict[str, Rises]:
         """How chi-squared rises beside each parameter that is doubted, or whose logarithm and itself differ."""

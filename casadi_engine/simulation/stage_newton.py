@@ -1,9 +1,10 @@
 """Implicit steps of many intervals at once: Newton's method, and which root of the stage equations is the step's.
 
 The stage equations of a nonlinear law can have several roots (a rate S/(K + S) has one beyond its pole, S < -K, too).
-The step is the one that its length, grown from nothing, leads to: whatever Newton's method begins at, the value of a
-step is then the same. A root is taken for that one where it lies as near to what the first iteration asked for as the
-theorem of Newton and Kantorovich has it; else the length is ramped up.
+The step is the one that its length, grown from nothing, leads to, so that its value does not depend on what was
+simulated before. A root is taken for that one where it lies as near to what the first iteration asked for as the
+theorem of Newton and Kantorovich has it; else the length is ramped up. Where that leads nowhere, as over steps of many
+time constants, the root that was met is kept, and the estimated error of the integration has to tell.
 """
 
 from __future__ import annotations

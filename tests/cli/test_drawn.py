@@ -74,3 +74,17 @@ def test_what_the_data_leave_open_is_one_message(here, call):
     assert "no posterior: " in done.err
     assert "C_eng" in done.err
     assert files(here / "out") == FIT
+
+
+def test_an_interrupt_before_the_draws_keeps_the_fit(here, call, monkeypatch):
+    def stopped(fit, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(importlib.import_module("casadi_engine.posterior"), "posterior", stopped)
+    done = call("fit", "problem.py", "--posterior", "--out", "out")
+    assert done.code == 130
+    assert "interrupted before the posterior; the fit itself is in out" in done.err
+    assert files(here / "out") == FIT
+    (here / "out" / "posterior.html").write_text("mine")  # the earlier command left none
+    assert call("fit", "problem.py", "--out", "out").code == 0
+    assert (here / "out" / "posterior.html").read_text() == "mine"

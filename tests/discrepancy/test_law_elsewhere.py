@@ -133,4 +133,4 @@ def test_a_sensor_that_feels_a_recorded_input_is_told_so():
     )
     assert found.verdict == "unnamed"
     assert (found.unknown.port, found.unknown.signal) == ("sensor_heater_seen", "sun")
-    assert "the sensor heater_seen shows sun too" in " ".join(str(found).split())
+    assert "the sensor heater_seen depends on sun too" in " ".join(str(found).split())

@@ -377,3 +377,16 @@ def test_a_valley_that_bends_is_no_rugged_one():
         one = fit.estimates[name]
         low, high = one.interval or (one.value - 1.96 * one.stderr, one.value + 1.96 * one.stderr)
         assert low < truth < high
+
+
+def test_a_model_without_a_value_where_finer_steps_are_taken_has_no_error(monkeypatch):
+    """The first look had a value by steps that were too long; that none is left is a doubt, not the end of it."""
+    real, finer = error_check._Around._simulated, []
+    monkeypatch.setattr(error_check._Around, "_integrated", lambda *_, **how: finer.append(1) or True)
+    monkeypatch.setattr(
+        error_check._Around, "_simulated", lambda *given, **how: None if finer else real(*given, **how)
+    )
+    fit = bent_fit(1.5, 2.0)
+    assert finer
+    assert fit.stderr["p"] is None
+    assert any("the model has no value" in text for text in fit.messages)
