@@ -3,6 +3,7 @@
 import casadi
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 
@@ -133,3 +134,24 @@ def test_a_posterior_for_arviz_from_a_fit():
     fit = ce.estimate(decay(), record(y=noisy(np.exp(-1.3 * TIME), 0.05, 2)), progress=False)
     made = fit.to_inference_data(draws=200)
     assert made["posterior"]["k"].shape == (1, 200)
+
+
+def test_an_interval_of_a_curved_likelihood_says_that_one_search_found_its_optimum():
+    """Of a weak nonlinear oscillation, whose neighbouring optima no profile from here meets."""
+    b = ce.Blueprint("swing")
+    w, q, v = b.parameter("w", 9.5, unit="rad/s", min=1, max=40), b.state("q"), b.state("v", unit="1/s")
+    b.ode("q", v)
+    b.ode("v", -(w**2) * (q + 0.1 * q**3) - 0.2 * v)
+    b.output("y", q)
+    time = 0.05 * np.arange(300)
+
+    def ode(t, z):
+        return [z[1], -100.0 * (z[0] + 0.1 * z[0] ** 3) - 0.2 * z[1]]
+
+    y = solve_ivp(ode, (0, time[-1]), [0.3, 0.0], t_eval=time, rtol=1e-9, atol=1e-10).y[0]
+    data = ce.Experiment.from_arrays("r", time=time, units={"y": "1"}, y=noisy(y, 0.6, 3))
+    options = {"noise": ce.Noise(y=0.6), "initial": {"q": 0.3, "v": 0.0}, "progress": False}
+    fit = ce.estimate(b.model(), data, **options)
+    assert fit.estimates["w"].interval
+    words = "the intervals are of the one optimum that was found: starts=10 looks for others"
+    assert any(text.endswith(words) for text in fit.messages)
