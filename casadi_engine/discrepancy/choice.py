@@ -22,6 +22,7 @@ from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.exchange import (
     exchanged,
+    in_its_parts,
     is_far,
     known_twins,
     leaves_more,
@@ -400,6 +401,8 @@ class Choice:
             # where that is not told, the simpler one is named in the end: a whole fit of the other is in a flat valley
             self._timed("exchange", lambda: self._special_cases_of(best))  # noqa: B023
             best = simpler(best, self._alike(best), FACTOR)
+            if len(best.effects) < self.most:
+                best = in_its_parts(self.refits, best, self.null.screened, self.price, self.tell)
             tried += [] if best in tried else [best]
             self._timed("exchange", lambda: self._again_without(best, here))  # noqa: B023
             here = self.pool[here.key]

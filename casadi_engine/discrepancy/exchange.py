@@ -20,7 +20,7 @@ from casadi_engine.discrepancy.no_noise import leaves_no_noise
 from casadi_engine.discrepancy.noise_choice import too_large
 from casadi_engine.discrepancy.noise_model import estimated_noise
 from casadi_engine.discrepancy.path import FAILURES
-from casadi_engine.discrepancy.refit import Addition, addition
+from casadi_engine.discrepancy.refit import Addition, addition, parts_of
 from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
 from casadi_engine.discrepancy.screening import Screened
 
@@ -54,6 +54,27 @@ def special_cases(refits: Refits, best: Key, screened: Screened, tell: Tell) -> 
             rest = (other for other in one.effects if other is not member)
             start = start_without(one.arrived, member)
             refits.tried((*rest, addition(candidate, size)), start)
+
+
+def in_its_parts(refits: Refits, best: Tried, screened: Screened, price: float, tell: Tell) -> Tried:
+    """A structure, or the one with the effects that a member is made of in the place of it where that is more probable:
+    a number of the member has gone to its bound, and its parts by themselves have none there."""
+    families, made = every_family(screened), list[Tried]()
+    for member in best.effects:
+        nuisance, port = member.candidate.source.effect.nuisance, member.candidate.port
+        bound = [name for name in nuisance if f"{member.key}.{name}" in best.arrived.held]
+        parts = parts_of(member, best.arrived.values) if bound and not late() else {}
+        keys = {name: (name, port) for name in parts}
+        if not parts or not all(key in families and key not in best.key for key in keys.values()):
+            continue
+        ask()
+        tell(f"{' and '.join(parts)} in place of {member.label}, in {best.label}")
+        rest = (one for one in best.effects if one is not member)
+        two = (addition(screened.candidates[families[keys[name]][0]], size) for name, size in parts.items())
+        made += refits.tried((*rest, *two), start_without(best.arrived, member))
+    refits.weigh()
+    ready = [one for one in made if one.beyond > BEYOND and one.log - price > best.log]
+    return max(ready, key=lambda one: one.log, default=best)
 
 
 def is_far(refits: Refits, best: Tried) -> bool:

@@ -2,24 +2,27 @@
 
 The log probability of the fresh data by each structure, its parameters free within their errors, is added to its log
 evidence: together they are the evidence of all data. A structure that the search left behind is not asked, unless the
-data of the search found that something is missing and could not say what.
+data of the search found that something is missing and could not say what. One that fresh data alone exclude may lack
+an effect of which the data of the search tell little: it is asked again with one more.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from casadi_engine.deadline import late
 from casadi_engine.discrepancy.choice import Choice
 from casadi_engine.discrepancy.evidence import FACTOR
-from casadi_engine.discrepancy.families import BEYOND
+from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.fresh_misfit import LARGER
-from casadi_engine.discrepancy.membership import simpler
+from casadi_engine.discrepancy.membership import NOTHING, simpler
 from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.pairs import with_one_more
 from casadi_engine.discrepancy.parameter_doubt import doubted, left_within_errors, log_foretold
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition
@@ -28,6 +31,8 @@ from casadi_engine.estimation import Fit
 
 # Structures that are asked at most.
 _MOST = 6
+# Of those that fresh data exclude, the most probable ones that are tried with one more effect.
+_RIVALS = 2
 # Where fresh data do not confirm the most probable structure, those that the data of the search make so many times as
 # improbable, in logarithms, as is usually enough to exclude one (1 of 8000) are asked too.
 WIDER = 3
@@ -65,6 +70,12 @@ class FreshWeights:
                 continue
             asked[one.key] = found
             self._weigh(asked)
+        if self.search.best in asked and self.search.best:
+            for one in self._with_one_more(asked):
+                found = self._asked(one)
+                if found is not None:
+                    asked[one.key] = found
+            self._weigh(asked)
         self._choose(asked)
 
     def _rivals(self) -> list[Tried]:
@@ -82,6 +93,27 @@ class FreshWeights:
         alike = [t for t in ready if len(t.key) == len(now.key)]
         least = max(t.log for t in alike) - self._near if alike else math.inf
         return sorted((t for t in alike if t.log > least), key=lambda t: -t.log)
+
+    def _with_one_more(self, asked: Collection[Key]) -> list[Tried]:
+        """Structures that fresh data alone exclude, with one more effect: two laws may do in all data what one with a
+        shape of its own does, and in those of the search one of the two did as well by itself."""
+        search = self.search
+        now, screened = search.pool[search.best], search.null.screened
+        if len(now.key) >= search.most:
+            return []
+        most = math.log(FACTOR)
+        out = [t for t in map(search.pool.__getitem__, asked) if t.log < now.log - most < t.log - t.fresh]
+        made: list[Tried] = []
+        least = now.counted - WIDER * most + search.price  # as fresh data may say it
+        for one in sorted(out, key=lambda t: -t.log)[:_RIVALS]:
+            families = families_of(screened)
+            others = {key: own for key, own in families.items() if key not in one.key | now.key}
+            chosen = partial(chosen_of, screened)
+            made += with_one_more(
+                search.refits, one, screened, others, chosen, search.tell, least - one.counted
+            )
+        search.refits.weigh()
+        return [t for t in made if not late() and t.counted > least and t.beyond > NOTHING]
 
     @property
     def _wanted(self) -> float:
@@ -126,7 +158,12 @@ class FreshWeights:
             for key in asked:  # one alone is held against nothing
                 search.pool[key].fresh = 0.0
             return
-        ready = sorted((search.pool[key] for key in asked), key=lambda t: -t.log)
+        more = [t for t in map(search.pool.__getitem__, asked) if len(t.key) > len(now.key) > 0]
+        alike = [search.pool[key] for key in asked if search.pool[key] not in more]
+        two = max((t for t in more if t.beyond > BEYOND), key=lambda t: t.log, default=None)
+        if two is not None and two.log - search.price > max(t.log for t in alike):
+            alike = [two]  # alone: rivals of as many effects were not asked
+        ready = sorted(alike, key=lambda t: -t.log)
         best = ready[0]
         if now.effects:  # all of them are fitted: of those that are not told apart the simplest costs nothing
             order = [simpler(best, ready, FACTOR), *ready]
@@ -134,9 +171,8 @@ class FreshWeights:
             order = [best] if best.log > now.log + self._wanted else []
         search.best = next((one.key for one in order if search.way(one.key) is not None), search.best)
         top = search.pool[search.best]
-        for key in asked:
-            one = search.pool[key]
-            if one is not top and top.effects and one.effects and one.log < top.log - math.log(FACTOR):
+        for one in (search.pool[key] for key in asked if len(key) == len(search.best) > 0):
+            if one is not top and one.log < top.log - math.log(FACTOR):
                 self.messages.append(
                     f"fresh data tell {top.name} from {one.name}: with them it is {_times(top.log - one.log)} "
                     "as probable"

@@ -18,7 +18,7 @@ Key = frozenset[tuple[str, str]]
 # Difference of log evidence that tells nothing: there the simpler one is named first.
 _TIE = 1.0
 # Standard errors of an amplitude below which a refit has left nothing of an effect.
-_NOTHING = 0.01
+NOTHING = 0.01
 
 
 def simpler(now: Any, alike: Sequence[Any], factor: float) -> Any:
@@ -104,10 +104,11 @@ def class_of(
     """
     own = one.candidate.key
     rest = key - {own}
-    price = price / misfit  # or what is paid for alone would make fewer effects the more probable ones
+    # or what is paid for alone would make fewer effects the more probable ones; a set is found in any order
+    paid, back = ((price - math.log(size)) / misfit for size in (len(key) + 1, len(key)))
     known = {
         other: float(found.log) / misfit for other, found in pool.items()
-        if found.log > -math.inf and (other <= key or found.beyond > _NOTHING)
+        if found.log > -math.inf and (other <= key or found.beyond > NOTHING)
     }  # fmt: skip
     logs = {
         (next(iter(other - rest)), ""): log
@@ -121,10 +122,10 @@ def class_of(
         if len(new) == 2 and rest | new == other:
             first, second = sorted(new, key=lambda k: -known.get(rest | {k}, -math.inf))
             if known.get(rest | {first}, -math.inf) <= least:  # by itself it is excluded
-                logs[first, f" with {second[0]} at {second[1]}"] = log - price
+                logs[first, f" with {second[0]} at {second[1]}"] = log - paid
         elif len(new) == 1 and len(other) == len(key) - 1 and own not in other:
             (gone,) = rest - other
-            logs[next(iter(new)), f" in place of it and {gone[0]} at {gone[1]}"] = log + price
+            logs[next(iter(new)), f" in place of it and {gone[0]} at {gone[1]}"] = log + back
     top = max(logs.values(), default=0.0)
     logs.setdefault((own, ""), top)
     untold = _untold(pool, key, rest, blur)
@@ -145,7 +146,7 @@ def _untold(pool: Mapping[Any, Any], key: Key, rest: Key, blur: float) -> set[tu
         return set()
     return {
         next(iter(other - rest)) for other, found in pool.items()
-        if len(other) == len(key) and rest < other and found.log > -math.inf and found.beyond > _NOTHING
+        if len(other) == len(key) and rest < other and found.log > -math.inf and found.beyond > NOTHING
         and found.evidence.cost < now.evidence.cost + 2 * _TIE + blur
         and numbers(found.effects) <= numbers(now.effects)
     }  # fmt: skip

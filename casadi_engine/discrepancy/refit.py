@@ -154,6 +154,12 @@ def addition(
     return Addition(candidate, float(np.clip(start, bounds.min, bounds.max)), choices, times)
 
 
+def parts_of(one: Addition, values: Mapping[str, float]) -> Mapping[str, float]:
+    """See ``Effect.parts``; values : of all parameters where a structure was refitted."""
+    own = {n.rpartition(".")[2]: v for n, v in values.items() if n.startswith(f"{one.key}.")}
+    return one.candidate.source.effect.parts({n.partition("@")[0]: v for n, v in own.items()})
+
+
 @dataclass(eq=False)
 class Refitter:
     """What all refits share: the null fit's model, parameters, data and options of ``estimate``.

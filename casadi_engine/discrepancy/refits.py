@@ -35,7 +35,7 @@ from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.path import FAILURES, Arrived, Path, form_of
 from casadi_engine.discrepancy.priors import priors_of
-from casadi_engine.discrepancy.refit import Addition, Refitter
+from casadi_engine.discrepancy.refit import Addition, Refitter, parts_of
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.whole_lags import at_whole_lags
 from casadi_engine.errors import EstimationError
@@ -391,7 +391,7 @@ class Refits:
             for added in one.effects:
                 effect, (_, at) = added.candidate.source.effect, added.candidate.key
                 simpler = key - {added.candidate.key} | {(effect.limit, at)} in self.pool
-                one.failed |= bool(effect.holds) and (effect.holds, at) in key
+                one.failed |= any((name, at) in key for name in parts_of(added, one.arrived.values))
                 one.failed |= bool(effect.limit_at) and simpler and self._is_its_limit(one, added)
         seen: set[Key] = set()
         while True:

@@ -104,7 +104,7 @@ class AsymmetricFriction(_Rounded):
     name = "asymmetric_friction"
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "stribeck_friction")
-    limit, holds = "coulomb_friction", "constant_torque"
+    limit = "coulomb_friction"
     sentence = (
         "dry friction at {port} that differs by direction, or beside a constant {effort}: one and the same"
     )
@@ -117,6 +117,11 @@ class AsymmetricFriction(_Rounded):
         """−T (sign(ω) + a sign(ω)²)."""
         sign = math.sign(port.speed, width=rounding(port, self.width))
         return -p.torque * sign * (1 + p.asymmetry * sign)
+
+    def parts(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Dry friction and a constant torque, which may be larger than the dry friction."""
+        size = values["torque"]
+        return {"coulomb_friction": size, "constant_torque": -size * values["asymmetry"]}
 
     def idle(self, port: Any) -> str:
         """It is dry friction alone on a motion in one direction, and beside a constant torque that is estimated."""

@@ -165,8 +165,7 @@ class Effect:
     kin : names of effects that look alike, for the reader of a class
     limit : name of the simpler effect that this one becomes at an end or in the middle of its
         grid; "" for none. limit_at : the nuisance parameter at whose bound it is that one, "" for none; limit_end :
-        "min" or "max" where it is at that bound alone; holds : name of another effect that this one is made of, so that
-        both together say no more than this one; "" for none
+        "min" or "max" where it is at that bound alone
     sentence : one clause with {port}, for reports; {effort} and {motion} stand for what acts there ("torque") and for
         what is read ("speed", or the signal's expression)
     neutral : the clause for ports where no torque or force acts; "" for the same
@@ -192,7 +191,6 @@ class Effect:
     attaches: ClassVar[tuple[str, ...]] = ()
     kin: ClassVar[tuple[str, ...]] = ()
     limit: ClassVar[str] = ""
-    holds: ClassVar[str] = ""
     limit_at: ClassVar[str] = ""
     limit_end: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
@@ -261,6 +259,15 @@ class Effect:
         """
         del port, share
         return self
+
+    def parts(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Other effects that together are this one, and more where its nuisance parameters are at a bound: their names
+        with the amplitudes at which they do what this one does; by default none.
+
+        values : parameter name, without port and effect -> value
+        """
+        del values
+        return {}
 
     def beyond(self, values: Mapping[str, float]) -> bool:
         """True where its nuisance parameters are out of what the records reach, so that it is hardly told from its

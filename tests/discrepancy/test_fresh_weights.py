@@ -57,16 +57,17 @@ class Pool(dict):
 
     def __getitem__(self, key):
         one = super().__getitem__(key)
-        one.log = one.evidence + one.fresh
+        one.log, one.counted = one.evidence + one.fresh, one.evidence
         return one
 
     def values(self):
         return [self[key] for key in self]
 
 
-def weighed(monkeypatch, logs, fresh, *, sure=True, significant=True, left=1.0):
+def weighed(monkeypatch, logs, fresh, *, sure=True, significant=True, left=1.0, most=1, more=()):
     """The name of the best structure, what is said, and which were asked, where ``fresh`` are the log probabilities of
-    fresh data; left : chi-squared per sample that all leave there."""
+    fresh data; left : chi-squared per sample that all leave there; more : structures of two effects, with their log
+    evidence, that are refitted with the name of the first one."""
     pool = Pool({one.key: one for one in (tried(name, log) for name, log in logs.items())})
     best = max(pool.values(), key=lambda t: t.log).key
     levels = stub(sigma={"y": 1.0}, weight=lambda name: 1.0)
@@ -75,8 +76,24 @@ def weighed(monkeypatch, logs, fresh, *, sure=True, significant=True, left=1.0):
     search = stub(
         pool=pool, best=best, price=2.0, refits=stub(levels=levels),
         null=stub(screened=stub(significant=significant)), way=lambda key: [stub(fit=fits[key])],
-        fit_of=lambda one: fits[one.key],
+        fit_of=lambda one: fits[one.key], most=most, tell=None,
     )  # fmt: skip
+    search.null.screened.order = search.null.screened.candidates = ()
+    search.refits.weigh = lambda: None
+
+    def with_one_more(refits, one, *rest):
+        pool.update({t.key: t for t in two if t.label.startswith(one.label)})
+        return [pool[t.key] for t in two if t.label.startswith(one.label)]
+
+    two = []
+    for name, log in more:
+        made = tried(name, log)
+        made.key, made.effects = frozenset([(part, "p") for part in name]), 2 * made.effects
+        fits[made.key] = object()
+        names[id(fits[made.key])] = name
+        two.append(made)
+    monkeypatch.setattr(module, "families_of", lambda screened: {})
+    monkeypatch.setattr(module, "with_one_more", with_one_more)
     record = stub(residual={"y": np.ones(10)})
     monkeypatch.setattr(module, "doubted", lambda fit, held: stub(records=(record,)))
     asked = []
@@ -172,3 +189,23 @@ def test_the_search_goes_to_the_fresh_records_where_these_alone_show_what_is_mis
     assert [record.name for record in found.fresh] == ["slow"]
     assert _EXCHANGED.split(",")[0] in " ".join(str(found).split())
     assert abs(found.effects[0].amplitude.value - 0.3) < 4 * found.effects[0].amplitude.stderr
+
+
+@pytest.mark.parametrize(("log", "of_fresh", "lead"), [
+    (0.5, 0.0, "a"),  # it has not gained the price of 2
+    (2.5, 0.0, "bc"),  # it has
+    (0.5, 5.0, "bc"),  # by fresh data
+    (-7.0, 60.0, "a"),  # so far behind that it is not asked
+])  # fmt: skip
+def test_what_fresh_data_alone_exclude_is_asked_again_with_one_more_effect(monkeypatch, log, of_fresh, lead):
+    logs, fresh = {"a": 0.0, "b": -1.0, "": -50.0}, {"a": 0.0, "b": -30.0, "bc": of_fresh}
+    best, said, asked = weighed(monkeypatch, logs, fresh, most=2, more=[("bc", log)])
+    assert (best, "bc" in asked) == (lead, log > -7)
+    told = "fresh data tell a from b: with them it is more than a million times as probable"
+    assert said == ([told] if lead == "a" else [])
+    assert weighed(monkeypatch, logs, fresh, most=1, more=[("bc", log)])[0] == "a"
+
+
+def test_what_the_search_excludes_itself_is_not_asked_again(monkeypatch):
+    logs, fresh = {"a": 0.0, "b": -5.0, "": -50.0}, {"a": 0.0, "b": -30.0, "bc": 9.0}
+    assert "bc" not in weighed(monkeypatch, logs, fresh, sure=False, most=2, more=[("bc", 9.0)])[2]

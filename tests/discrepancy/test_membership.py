@@ -13,6 +13,7 @@ DRY, DRAG, STEP, OFFSET = ("dry", "load"), ("drag", "load"), ("step", "load"), (
 
 # what a further effect has to gain in log probability
 PRICE = math.log(10)
+PAIR = PRICE - math.log(2)  # of a pair, which is found in either order
 
 
 def effect(key):
@@ -97,7 +98,7 @@ def test_rivals_stand_beside_the_same_other_effects():
 
 
 def test_two_effects_may_stand_in_the_place_of_one():
-    pool = pool_of(dry=30.0, drag=20.0, step=5.0, drag_step=30.0 + PRICE, dry_step=31.0)
+    pool = pool_of(dry=30.0, drag=20.0, step=5.0, drag_step=30.0 + PAIR, dry_step=31.0)
     first, second = class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)
     assert (first.label, second.label) == ("dry at load", "drag at load with step at load")
     assert (first.probability, second.probability) == pytest.approx((0.5, 0.5))
@@ -114,7 +115,7 @@ def test_a_member_of_the_class_needs_no_second_effect():
 
 
 def test_one_effect_may_stand_in_the_place_of_two():
-    pool = pool_of(dry=10.0, drag=9.0, step=30.0, dry_drag=30.0 + PRICE)
+    pool = pool_of(dry=10.0, drag=9.0, step=30.0, dry_drag=30.0 + PAIR)
     first, second = class_of(pool, frozenset({DRY, DRAG}), effect(DRAG), 20.0, PRICE)
     assert second.label == "step at load in place of it and dry at load"
     assert (first.probability, second.probability) == pytest.approx((0.5, 0.5))

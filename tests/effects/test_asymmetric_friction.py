@@ -92,3 +92,33 @@ def test_it_is_not_looked_for_beside_a_constant_torque_that_is_estimated():
     assert candidates(there, [AsymmetricFriction()], record()) == ()
     assert len(candidates(there, [AsymmetricFriction()], record(), free=("m", "c", "gone"))) == 6
     assert len(candidates(ce.two_mass(), [AsymmetricFriction()], record())) == 12
+
+
+def test_what_it_is_made_of_does_the_same():
+    values = {"torque": 2.0, "asymmetry": 0.25}
+    assert AsymmetricFriction().parts(values) == {"coulomb_friction": 2.0, "constant_torque": -0.5}
+    one = cart().with_effect(AsymmetricFriction(width=0.001), at="body", values=values)
+    two = cart().with_effect(CoulombFriction(width=0.001), at="body", values={"torque": 2.0})
+    two = two.with_effect(ce.effects.ConstantTorque(), at="body", values={"torque": -0.5})
+    data = ce.Experiment.from_arrays("run", time=TIME, units={"F": "N"}, F=force(TIME))
+    runs = [ce.simulate(m, data, initial={"v": 1.0})["speed"].values for m in (one, two)]
+    np.testing.assert_allclose(*runs, atol=2e-3)  # they differ within the corner
+    assert ce.effects.QuadraticDrag().parts({"coefficient": 1.0}) == {}
+
+
+def test_a_constant_force_that_is_larger_than_dry_friction_is_named_beside_it():
+    """An asymmetry ends at 1; what is more had been told as an offset, and as a load that comes at the beginning."""
+
+    def pulled(t):
+        return force(t) - 1.2
+
+    speed = speed_of(TIME, pulled, 1.5, 0.4, forward=0.5, backward=0.5)
+    noisy = speed + 0.02 * np.random.default_rng(1).standard_normal(len(TIME))
+    units = {"F": "N", "speed": "m/s"}
+    data = ce.Experiment.from_arrays("run", time=TIME, units=units, F=force(TIME), speed=noisy)
+    names = ["coulomb_friction", "asymmetric_friction", "constant_torque", "quadratic_drag"]
+    found = ce.repair(cart(), data, effects=names, holdout=0.0, starts=1, progress=False)
+    assert {one.name for one in found.effects} == {"coulomb_friction", "constant_torque"}
+    values = found.fit.estimates
+    assert abs(values["body.constant_torque.torque"].value + 1.2) < 0.1
+    assert abs(values["body.coulomb_friction.torque"].value - 0.5) < 0.1
