@@ -12,6 +12,7 @@ from casadi_engine.distributions import chi2_isf
 from casadi_engine.estimation.beside_optimum import UNEVEN, entries_of
 from casadi_engine.estimation.doubt import CALL, FLAT, Doubt
 from casadi_engine.estimation.error_check import doubts_of, growing, words_of
+from casadi_engine.estimation.few_samples import freedom_of
 from casadi_engine.estimation.fit import Estimate, Optimum
 from casadi_engine.estimation.foreseen_ends import Rises
 from casadi_engine.estimation.profile_interval import LEVEL, LowerOptimumError, Profiles, root_of
@@ -100,9 +101,9 @@ def _few(search: Search, errors: Uncertainty) -> tuple[str, ...]:
     root, plain = root_of(search, errors), float(np.sqrt(chi2_isf(1 - LEVEL, 1)))
     if not errors.optimal or root < (1 + UNEVEN) * plain:
         return ()
-    freedom = search.problem.samples - errors.covariance.rank
+    freedom = freedom_of(search, errors)
     return (
-        f"few samples: with a noise level from {freedom} degrees of freedom an interval of 95 % goes {root:.2g} "
+        f"few samples: with a noise level from {freedom:.3g} degrees of freedom an interval of 95 % goes {root:.2g} "
         "standard errors to either side (Student's t)",
     )
 

@@ -17,6 +17,7 @@ from casadi_engine.errors import ModelError
 from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.final_check import printed_cost, residual, response
 from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.same_response import same_response
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.standard_errors import Uncertainty
 from casadi_engine.estimation.starts import chained_nodes, nodes_by_first
@@ -58,16 +59,20 @@ class Move:
 @dataclass(frozen=True)
 class Twin:
     """Another point that explains the data: what leads there, parameters by pairs and what takes the other sign, in
-    words; the point v (nv,), first states (n,) of each record there, and its chi-squared above the optimum's."""
+    words, or the values of what differs where neither does; the point v (nv,), first states (n,) of each record there,
+    and its chi-squared above the optimum's."""
 
     pairs: tuple[tuple[str, str], ...]
     signs: tuple[str, ...]
     v: Array
     starts: tuple[Array, ...]
     higher: float
+    values: tuple[tuple[str, float], ...] = ()
 
     def __str__(self) -> str:
-        """ "k1 and k2 exchanged", or "the other sign of dw and of the first phi"."""
+        """ "k1 and k2 exchanged", or "the other sign of dw and of the first phi", or "ka = 0.2 and V = 3"."""
+        if self.values:
+            return " and ".join(", ".join(f"{n} = {z:.4g}" for n, z in self.values).rsplit(", ", 1))
         if self.signs:
             return f"the other sign of {' and of '.join(self.signs)}"
         return ", and ".join(" and ".join(pair) for pair in self.pairs) + " exchanged"
@@ -102,11 +107,8 @@ def _twins(
     names, known = search.pmap.free, [np.concatenate([v, *starts]) if states else v]
     optimum, stages = _Exchange(search, search.records, list(starts), Move(), 0.0), _stages(search)
     here = optimum.cost(v)
-    for move in _moves(search, v, starts):
-        if most <= 0:
-            return
-        at = _moved(search, v, starts, move)
-        if at is None or (states and not move.states):
+    for move, at in _places(search, v, starts, states=states):
+        if most <= 0 and move != Move():
             continue
         away = np.concatenate([at[0] - v, *(a - b for a, b in zip(at[1], starts, strict=True))])
         if away @ metric @ away < _ALIKE or np.abs(away).max() < _SAME:
@@ -133,7 +135,28 @@ def _twins(
             own = [search.model.states[i].name for i in move.states]
             signs = (*(names[k] for k in move.signs), *(f"the first {name}" for name in own))
             pairs = tuple((names[i], names[j]) for i, j in move.pairs)
-            yield Twin(pairs, signs, exchange.v, tuple(exchange.starts), higher)
+            values = () if pairs or signs else _differing(search, v, exchange.v)
+            yield Twin(pairs, signs, exchange.v, tuple(exchange.starts), higher, values)
+
+
+def _places(
+    search: Search, v: Array, starts: Sequence[Array], *, states: bool
+) -> Iterator[tuple[Move, tuple[Array, list[Array]]]]:
+    """The moves within bounds, with the point v (nv,) and the first states (n,) of each record that they lead to; last,
+    where else a linear model does the same."""
+    for move in _moves(search, v, starts):
+        at = _moved(search, v, starts, move)
+        if at is not None and (move.states or not states):
+            yield move, at
+    if not states:
+        yield from ((Move(), at) for at in same_response(search, v, starts))
+
+
+def _differing(search: Search, v: Array, other: Array) -> tuple[tuple[str, float], ...]:
+    """The parameters that are not the same at two points (nv,), with their values at the other one."""
+    here, there = (search.coordinates.values(at) for at in (v, other))
+    far = ~np.isclose(here, there, rtol=_SAME, atol=0)
+    return tuple((search.pmap.free[k], float(there[k])) for k in np.flatnonzero(far))
 
 
 def _apart(search: Search, v: Array, starts: Sequence[Array], end: _Exchange, cost: float) -> bool:

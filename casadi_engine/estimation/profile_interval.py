@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from casadi_engine.deadline import Deadline, TimeUp, ask
 from casadi_engine.distributions import chi2_isf, f_isf
 from casadi_engine.errors import ModelError
+from casadi_engine.estimation.few_samples import freedom_of
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
 from casadi_engine.estimation.starts import chained_nodes
@@ -38,7 +39,7 @@ class LowerOptimumError(Exception):
 
 def root_of(search: Search, errors: Uncertainty) -> float:
     """Standard errors to either side that a 95 % interval goes, by Student's t where a noise level is estimated."""
-    freedom = search.problem.samples - errors.covariance.rank
+    freedom = freedom_of(search, errors)
     estimated = any(search.levels.estimated) and freedom > 0
     return float(np.sqrt(f_isf(1 - LEVEL, 1, freedom) if estimated else chi2_isf(1 - LEVEL, 1)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.exponential_runge_kutta import TooStiff
+from casadi_engine.simulation.side_by_side import runs_side_by_side, side_by_side
 
 Array = NDArray[np.float64]
 Place = tuple[str, str]
@@ -169,6 +171,31 @@ class SingleShots:
             nodes = _chained(record, x[: len(self.free)], x[at : at + record.n])
             self._place(found, record, residual(record, record.outputs_at(x[: len(self.free)], nodes)[0]))
             at += record.n
+        return found
+
+    @property
+    def runs_side_by_side(self) -> bool:
+        """Whether many points can be simulated at once, by the steps that there are."""
+        return all(
+            record.gain is None and runs_side_by_side(record.single().propagator)
+            for record in self._search.records
+        )
+
+    def side_by_side(self, x: Array, sigma: Mapping[str, Array]) -> Array:
+        """Residuals (P, K) at points x (P, nx), where ``runs_side_by_side``, in the outputs' standard deviations (P,)
+        at each; NaN in those that have none."""
+        found, at, nv = np.zeros((len(x), self.count)), len(self.free), len(self.free)
+        for record in self._search.records:
+            whole = record.single()
+            own: Any = whole.propagator
+            y = side_by_side(own, x[:, :nv][:, record.active].T, x[:, at : at + record.n].T)
+            shown = whole.observation.observe(y)
+            at += record.n
+            for output, where in whole.observation.where.items():
+                here = where[whole.observation.valid.ravel()[where]]
+                rows = self.places[(record.experiment.name, output)]
+                measured = whole.observation.measured.ravel()[here]
+                found[:, rows] = (shown.reshape(len(x), -1)[:, here] - measured) / sigma[output][:, None]
         return found
 
     def evaluate(self, x: Array) -> tuple[Array, Array]:

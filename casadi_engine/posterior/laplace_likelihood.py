@@ -14,12 +14,16 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.single_shots import SingleShots
+from casadi_engine.posterior.many_points import ManyPoints
 from casadi_engine.posterior.states import StatePrior
 
 Array = NDArray[np.float64]
 
 # Gauss-Newton steps in the initial states at a point, and the fall of chi-squared that ends them.
 _STEPS, _FALL = 5, 0.02
+# Points from which on they run side by side; and the log likelihood by which they may differ from one by itself, as a
+# share of how far it lies below the best.
+_FEW, _ALIKE = 16, 1e-2
 # Squared standard errors within which two ends are one.
 _ONE = 1.0
 # Standard errors of an optimum within which its initial states are looked for.
@@ -185,7 +189,34 @@ class LaplaceLikelihood:
 
     def value(self, v: Array, sigma: Array) -> Array:
         """Log likelihood (P,) at v (P, nv) and noise levels (P, ny); -inf where the model cannot be evaluated."""
-        return np.array([self._value(*one) for one in zip(v, sigma, strict=True)])
+        found = self._side_by_side(v, sigma)
+        for k in np.flatnonzero(np.isnan(found)):
+            found[k] = self._value(v[k], sigma[k])
+        return found
+
+    def _side_by_side(self, v: Array, sigma: Array) -> Array:
+        """The same by one run for many points, NaN where it is not told so: where there are few, as laws ask for steps
+        of their own at each point, and where it does not say what a point by itself says."""
+        found = np.full(len(v), np.nan)
+        if len(v) < _FEW or len(self.branches) > 1 or not self._shots.runs_side_by_side:
+            return found
+        many = ManyPoints(self._shots, self.branches[0].parts, _STEPS, _FALL)
+        for part in np.array_split(np.arange(len(v)), -(-len(v) // many.room)):
+            found[part] = self._of_many(many, v[part], sigma[part])
+        order = np.argsort(np.where(np.isnan(found), -np.inf, found))
+        for k in order[[-1, -1 - len(order) // 4, len(order) // 2]]:  # the best one, and others
+            alone = self._value(v[k], sigma[k])
+            print("CHK", found[k], alone, found[order[-1]])
+            if np.isfinite(found[k]) and abs(found[k] - alone) > _ALIKE * max(1.0, found[order[-1]] - alone):
+                return np.full(len(v), np.nan)
+        return found
+
+    def _of_many(self, many: ManyPoints, v: Array, sigma: Array) -> Array:
+        x = np.array([self.branches[0].begun(one) for one in v])
+        found = many.logs(x, {name: sigma[:, k] for k, name in enumerate(self._outputs)})
+        for (_, name), at in self._shots.places.items():
+            found -= (at.stop - at.start) * np.log(sigma[:, self._outputs.index(name)])
+        return found
 
     def _value(self, v: Array, sigma: Array) -> float:
         if self.branches[0].parts:
@@ -209,6 +240,16 @@ class LaplaceLikelihood:
     def full(self, v: Array, sigma: Array) -> Array:
         """The same: all samples are looked at anyway."""
         return self.value(v, sigma)
+
+    def squares_of(self, v: Array, sigma: Array) -> list[Squares | None]:
+        """See ``squares``, at points v (P, nv) that lie far apart."""
+        found: list[Squares | None] = [None] * len(v)
+        if len(v) > 1 and len(self.branches) == 1 and self._shots.runs_side_by_side:
+            many = ManyPoints(self._shots, self.branches[0].parts, _STEPS, _FALL)
+            x = np.array([self.branches[0].begun(one) for one in v])
+            levels = {name: np.full(len(v), self._level(sigma, name)) for name in self._outputs}
+            found = many.squares(x, levels, self._size)
+        return [self.squares(one, sigma) if own is None else own for one, own in zip(v, found, strict=True)]
 
     def squares(self, v: Array, sigma: Array) -> Squares | None:
         """Half the sum of squares with slopes, the initial states at their best; None where there is none."""

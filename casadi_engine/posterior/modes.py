@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.levenberg_marquardt import Minimum, minimise
+from casadi_engine.estimation.same_response import same_response
 from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.mixture import Mixture
-from casadi_engine.posterior.target import Target
+from casadi_engine.posterior.target import Target, first_states
 from casadi_engine.posterior.valley import valleys
 
 Array = NDArray[np.float64]
@@ -99,6 +100,10 @@ def find_modes(
     for start in starts:
         searches.one(start)
     _exchanges(target, searches)
+    known = np.array([one.fixed for one in next(iter(fit.initial.values())).values()], dtype=bool)
+    begun = first_states(target.search, fit)
+    for at, _ in same_response(target.search, target.start[: target.nv], begun, known):
+        searches.one(at)
     for start in met:
         searches.one(start)
     searches.until_idle(around)

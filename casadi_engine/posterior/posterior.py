@@ -53,7 +53,7 @@ def posterior(
     method: str = "auto",
     seed: int = 0,
     evaluations: int = 60_000,
-    progress: Callable[[str, int], Any] | None = None,
+    progress: Callable[[str, int], Any] | bool | None = None,
 ) -> Posterior:
     """The distribution of the free parameters and unknown noise levels of a fit, given its records and priors.
 
@@ -71,7 +71,7 @@ def posterior(
         be trusted
     seed : of the random numbers; the same seed gives the same draws
     evaluations : of the likelihood by an ensemble, at most
-    progress : None, or a function of (what is done, evaluations so far)
+    progress : None or False for nothing, or a function of (what is done, evaluations so far)
 
     Returns
     -------
@@ -212,21 +212,21 @@ def _places(target: Target, modes: Modes) -> Array:
 
 
 def _teller(
-    progress: Callable[[str, int], Any] | None, target: Target
+    progress: Callable[[str, int], Any] | bool | None, target: Target
 ) -> tuple[Callable[[str], Any], list[str]]:
     """A function that is told what is done, and all that it was told."""
-    if progress is not None and not callable(progress):
+    if progress is not None and progress is not False and not callable(progress):
         raise PosteriorError(
             "invalid `progress`",
             seen=repr(progress),
-            allowed="None, or a function of (what is done, evaluations so far)",
+            allowed="None or False, or a function of (what is done, evaluations so far)",
             cure="leave it out",
         )
     said: list[str] = []
 
     def tell(words: str) -> None:
         said.append(words)
-        if progress is not None:
+        if callable(progress):
             progress(words, target.evaluations)
 
     return tell, said

@@ -48,10 +48,15 @@ def _along(
     """Dips (cost, point) along these parameters, at so many places in all, and the parameters that have any."""
     found: list[tuple[float, Array]] = []
     uneven = []
-    for k, values in _lines(target, covariance, which, places).items():
+    lines, sides = _lines(target, covariance, which, places), dict[int, tuple[_Walk, _Walk]]()
+    for k, values in lines.items():
         here = int(np.searchsorted(values, target.start[k]))
-        sides = _walk(target, k, values[:here][::-1], covariance), _walk(target, k, values[here:], covariance)
-        walked = [*reversed(sides[0]), (centre.cost, target.start[: target.nv]), *sides[1]]
+        down, up = (_Walk(target, k, own, covariance) for own in (values[:here][::-1], values[here:]))
+        sides[k] = down, up
+    _walked(target, [one for both in sides.values() for one in both])
+    for k, (down, up) in sides.items():
+        here = len(down.found)
+        walked = [*reversed(down.found), (centre.cost, target.start[: target.nv]), *up.found]
         costs, own = [cost for cost, _ in walked], len(found)
         for j in {*range(1, len(costs) - 1)} - {here}:
             ridge = min(max(costs[:j]), max(costs[j + 1 :]))
@@ -82,28 +87,50 @@ def _lines(target: Target, covariance: Array, which: list[int], places: int) -> 
     return lines
 
 
-def _walk(target: Target, k: int, values: Array, covariance: Array) -> list[tuple[float, Array]]:
-    """(cost, point) at these values of a parameter, one after another from the fit's own."""
-    low, high = target.low[: target.nv], target.high[: target.nv]
-    width = np.where(np.isfinite(high - low), high - low, np.inf)
-    others = np.arange(target.nv) != k
-    at, found = target.start[: target.nv].copy(), []
-    way = covariance[:, k] / covariance[k, k]  # of the others, where only the fit's own quadratic tells it
-    for value in values:
-        at = np.clip(at + (value - at[k]) * np.where(others, way, 1.0), low, high)
-        at[k] = value
-        there = target.squares(at)
+class _Walk:
+    """Places along a parameter, one after another from the fit's own; found : (cost, point) at those so far."""
+
+    def __init__(self, target: Target, k: int, values: Array, covariance: Array) -> None:
+        self._k, self._values, self._target = k, values, target
+        self._low, self._high = target.low[: target.nv], target.high[: target.nv]
+        width = self._high - self._low
+        self._width = np.where(np.isfinite(width), width, np.inf)
+        self._others = np.arange(target.nv) != k
+        self._at, self.found = target.start[: target.nv].copy(), list[tuple[float, Array]]()
+        # of the others, where only the fit's own quadratic tells it
+        self._way = covariance[:, k] / covariance[k, k]
+
+    def next(self) -> Array | None:
+        """The point v (nv,) that is looked at next; None at the end."""
+        if len(self.found) == len(self._values):
+            return None
+        value, others = self._values[len(self.found)], self._others
+        at = self._at + (value - self._at[self._k]) * np.where(others, self._way, 1.0)
+        self._at = np.clip(at, self._low, self._high)
+        self._at[self._k] = value
+        return self._at
+
+    def take(self, there: Squares | None) -> None:
+        """What was found there."""
+        at, others = self._at, self._others
+        self._way = np.zeros(len(at))
         if there is None or not np.isfinite(there.cost):
-            found.append((np.inf, at.copy()))
-            way, at = np.zeros(len(at)), target.start[: target.nv].copy()
-            continue
+            self.found.append((np.inf, at.copy()))
+            self._at = self._target.start[: self._target.nv].copy()
+            return
         step = np.zeros(len(at))
         if others.any():
             own = there.matrix[np.ix_(others, others)]
             step[others] = -inverse(own) @ there.gradient[others]
-            if (np.abs(step) > _FAR * width).any():
+            if (np.abs(step) > _FAR * self._width).any():
                 step[:] = 0.0
         fall = -0.5 * float(there.gradient @ step)
-        at, way = np.clip(at + step, low, high), np.zeros(len(at))
-        found.append((there.cost - max(fall, 0.0), at.copy()))
-    return found
+        self._at = np.clip(at + step, self._low, self._high)
+        self.found.append((there.cost - max(fall, 0.0), self._at.copy()))
+
+
+def _walked(target: Target, walks: list[_Walk]) -> None:
+    """Go all of these ways to their ends, side by side."""
+    while left := [(one, at) for one in walks if (at := one.next()) is not None]:
+        for (one, _), there in zip(left, target.squares_of(np.array([at for _, at in left])), strict=True):
+            one.take(there)

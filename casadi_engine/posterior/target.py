@@ -137,7 +137,17 @@ class Target:
 
     def squares(self, v: Array) -> Squares | None:
         """Half of chi-squared and normal priors at the fit's noise levels, with slopes in v."""
-        found = self.likelihood.squares(v, self._sigma)
+        return self._with_priors(v, self.likelihood.squares(v, self._sigma))
+
+    def squares_of(self, v: Array) -> list[Squares | None]:
+        """The same at points v (k, nv) that lie far apart, where that can be done at once."""
+        own = getattr(self.likelihood, "squares_of", None)
+        found = (
+            [self.likelihood.squares(one, self._sigma) for one in v] if own is None else own(v, self._sigma)
+        )
+        return [self._with_priors(*one) for one in zip(v, found, strict=True)]
+
+    def _with_priors(self, v: Array, found: Squares | None) -> Squares | None:
         if found is None:
             return None
         cost, gradient, _, matrix = self.search.problem.priors.evaluate(v)
@@ -168,12 +178,17 @@ class Target:
         return np.concatenate([z, levels], axis=1)
 
 
-def _likelihood(fit: Fit, search: Search, v: Array) -> Likelihood:
-    first = {
-        record.experiment.name: np.array([one.value for one in fit.initial[record.experiment.name].values()])
-        / record.scale
+def first_states(search: Search, fit: Fit) -> list[Array]:
+    """First states (n,) of each record as a fit has them, scaled."""
+    return [
+        np.array([one.value for one in fit.initial[record.experiment.name].values()]) / record.scale
         for record in search.records
-    }
+    ]
+
+
+def _likelihood(fit: Fit, search: Search, v: Array) -> Likelihood:
+    names = [record.experiment.name for record in search.records]
+    first = dict(zip(names, first_states(search, fit), strict=True))
     if no_spectrum(search) is None and not _held(fit).any():
         return SpectralLikelihood(search.records, v, _priors(search, v, first))
     held = {name: np.array([one.fixed for one in fit.initial[name].values()]) for name in first}

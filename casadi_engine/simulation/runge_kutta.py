@@ -283,6 +283,12 @@ class RungeKuttaPropagator:
         """(m, N) drives of the model on the grid."""
         return self._drives.at(z).value
 
+    @property
+    def sweeps(self) -> Sweeps:
+        """The steps, laid by the first propagation."""
+        assert self._sweeps is not None
+        return self._sweeps
+
     # ---- forward
 
     # A trial point of the search may be far off: what overflows is found by its result.

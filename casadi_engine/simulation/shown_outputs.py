@@ -50,6 +50,13 @@ class ShownOutputs:
         found = self._value(self._columns(x), self._given, z)[0]
         return found.reshape(self.ny, self.plan.length, self.plan.m)
 
+    def side_by_side(self, x: Array, z: Array) -> Array:
+        """(P, ny, L, 1) of states (L + 1, n, P) of one interval at points z (nz, P)."""
+        samples, points = self.plan.length, x.shape[2]
+        columns = np.ascontiguousarray(x[:samples].transpose(1, 0, 2)).reshape(self.n, -1)
+        found = self._value(columns, np.repeat(self._given, points, axis=1), np.tile(z, samples))[0]
+        return np.ascontiguousarray(found.reshape(self.ny, samples, points).transpose(2, 0, 1))[..., None]
+
     def slopes(self, x: Array, z: Array) -> tuple[Array, Array]:
         """Values (ny, L, M) and derivatives to (x, z), (L, M, ny, n + nz)."""
         value, slope = self._first(self._columns(x), self._given, z)

@@ -6,6 +6,8 @@ few intervals, or of one long simulation, by CasADi's virtual machine, which nee
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +41,7 @@ class Sweeps:
         given = layout.low, layout.high, layout.time, layout.length
         made = {c: slope.known(*given, c, layout.part) for c in dict.fromkeys(scheme.c.tolist())}
         self.known = [made[c] for c in scheme.c.tolist()]
-        self._given = np.concatenate(list(made.values()))
+        self.given = np.concatenate(list(made.values()))
         self._bent = False  # too often for the machine
         # stage values of the last run, from which those of a point near by are not far
         self._before: Array | None = None
@@ -58,21 +60,16 @@ class Sweeps:
         if layout.intervals < _WIDE:
             self._by_machine(z, begun)
             return begun, None
-        step = _array_step(self.slope, self.scheme).bound(z)
+        step = array_step(self.slope, self.scheme).bound(z)
         for own, after in layout:
             ask(len(after))
-            begun[:, after] = step(begun[:, own], self._given[:, own])[0]
+            begun[:, after] = step(begun[:, own], self.given[:, own])[0]
         return begun, None
 
     def _by_machine(self, z: Array, begun: Array) -> None:
         """The states of few intervals, side by side, the shorter ones filled up with steps of length 0."""
-        layout, count = self.layout, self.layout.intervals
-        steps = max(len(layout.rows) - 1, 1)
-        place = np.tile(layout.steps + np.arange(count), (steps + 1, 1))
-        place[0] = layout.at[0]
-        for k in range(steps):
-            real = place[k] < layout.steps
-            place[k + 1, real] = layout.after[place[k, real]]
+        place, count = self._side_by_side, self.layout.intervals
+        steps = len(place) - 1
         size = min(_SWEEP, steps)
         sweep = _machine_sweep(self.slope, self.scheme, size, count)
         many = np.repeat(z[:, None], count * size, axis=1)
@@ -81,8 +78,19 @@ class Sweeps:
             first = min(k, steps - size)
             own = place[first : first + size].T.ravel()
             ask(len(own))
-            swept = np.asarray(sweep(begun[:, place[first]], self._given[:, own], many), dtype=float)
+            swept = np.asarray(sweep(begun[:, place[first]], self.given[:, own], many), dtype=float)
             begun[:, place[first + 1 : first + 1 + size].T.ravel()] = swept
+
+    @cached_property
+    def _side_by_side(self) -> NDArray[np.intp]:
+        """(S + 1, M) numbers of the steps of each interval, and of what stands at its end from where it has no more."""
+        layout, count = self.layout, self.layout.intervals
+        place = np.tile(layout.steps + np.arange(count), (max(len(layout.rows) - 1, 1) + 1, 1))
+        place[0] = layout.at[0]
+        for k in range(len(place) - 1):
+            real = place[k] < layout.steps
+            place[k + 1, real] = layout.after[place[k, real]]
+        return place
 
     def _newton(self, z: Array, begun: Array) -> tuple[Array, Array]:
         n, layout, size = self.slope.n, self.layout, self.scheme.stages
@@ -133,7 +141,7 @@ class Sweeps:
             some = path[np.minimum(np.arange(k, k + _SWEEP_IMPLICIT), last)]
             ask(len(some))
             try:
-                end, found, arrived = map(np.asarray, sweep(begun[:, some[0]], self._given[:, some], many))
+                end, found, arrived = map(np.asarray, sweep(begun[:, some[0]], self.given[:, some], many))
             except RuntimeError:  # of a singular matrix somewhere in the sweep
                 return k
             count = min(int(np.append(arrived.ravel() > 0, False).argmin()), last - k)
@@ -203,7 +211,7 @@ def advance(
             given = np.concatenate([made[c] for c in scheme.c.tolist()], axis=-1)
             x = stages_of(scheme, lambda s, g: slope.newton(s, g, z), x, given)[-1]
         else:
-            x = _array_step(slope, scheme)(x, np.concatenate(list(made.values())), z)[0]
+            x = array_step(slope, scheme)(x, np.concatenate(list(made.values())), z)[0]
     return x
 
 
@@ -230,7 +238,7 @@ def _step_symbols(slope: StageSlope, scheme: Tableau) -> tuple[list[ca.SX], ca.S
     return slope.made[key]
 
 
-def _array_step(slope: StageSlope, scheme: Tableau) -> ArrayFunction:
+def array_step(slope: StageSlope, scheme: Tableau) -> ArrayFunction:
     key = ("array", scheme.name)
     if key not in slope.made:
         inputs, end = _step_symbols(slope, scheme)

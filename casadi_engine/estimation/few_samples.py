@@ -1,0 +1,62 @@
+"""How many degrees of freedom the level of the noise has, as a parameter sees it: those of all outputs together are not
+those of a parameter that hangs on one of few samples, whose level is estimated by itself.
+
+The error of a parameter is a sum over outputs; each level is known by its samples less what the parameters take of them
+(the trace of the hat matrix there), and the sum is worth as many degrees of freedom as Satterthwaite has it (1946,
+Biometrics Bulletin 2, 110): the square of the sum over the sum of the squares, each over its own.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.chained import chained_slopes
+from casadi_engine.estimation.search import Search
+
+if TYPE_CHECKING:
+    from casadi_engine.estimation.standard_errors import Uncertainty
+
+Array = NDArray[np.float64]
+
+# Samples of an output from which on its level is known well enough: Student's t is within 3 % of the normal law.
+_MANY = 60
+# A level has at least so many degrees of freedom.
+_LEAST = 1.0
+
+
+def freedom_of(search: Search, errors: Uncertainty) -> float:
+    """Degrees of freedom of the noise behind the error of a parameter, of the one with the fewest; all samples less
+    what is estimated where there is one level, or enough samples for each."""
+    pooled = float(search.problem.samples - errors.covariance.rank)
+    estimated, counts = np.array(search.levels.estimated), search.levels.counts
+    own = counts[estimated & (counts > 0)]
+    few = len(own) > 1 and own.min() < _MANY and not search.loss.robust and pooled > 0
+    if not few or not errors.optimal or search.predictor.kind != "none":
+        return pooled
+    matrix = errors.covariance.matrix
+    grams = _grams(search, errors)
+    taken = np.array([float(np.sum(matrix * gram)) for gram in grams])
+    shares = np.array([np.diag(matrix @ gram @ matrix) for gram in grams])[:, : search.problem.nv]
+    freedom = np.maximum(counts - taken, _LEAST)
+    whole = np.diag(matrix)[: search.problem.nv]
+    unsure = (np.square(shares)[estimated] / freedom[estimated, None]).sum(axis=0)
+    told = (whole > 0) & np.isfinite(unsure) & (unsure > 0)
+    return min(pooled, float((whole[told] ** 2 / unsure[told]).min(initial=pooled)))
+
+
+def _grams(search: Search, errors: Uncertainty) -> list[Array]:
+    """What each output says of [v; first states of each record], (N, N)."""
+    size, at = len(errors.covariance.matrix), search.problem.nv
+    found = [np.zeros((size, size)) for _ in search.levels.outputs]
+    for record, point in zip(search.records, search.problem.at(errors.x).records, strict=True):
+        rows = chained_slopes(record, point).reshape(-1, record.weight.size)
+        place = np.concatenate([record.active, np.arange(at, at + record.n)])
+        valid = record.observation.valid.ravel()
+        for output, where in record.observation.where.items():
+            own = rows[:, where[valid[where]]]
+            found[search.levels.outputs.index(output)][np.ix_(place, place)] += own @ own.T
+        at += record.n
+    return found
