@@ -59,7 +59,8 @@ class NullPath:
     """One record simulated with known parameters and start.
 
     grid : of the path; it may have more points than that of the record, where the integrator took more steps
-    x : (n, N) states at the grid's samples, in their units; slope : (n, N) their time derivative
+    x : (n, N) states at the grid's samples, in their units; slope : (n, N) their time derivative; before : (n, N-1)
+    that at the end of each step, where a held channel has not yet jumped
     d : (m, N) drives at the samples and drive_holds (m,) their holds, for a model with a linear core, whose propagators
     interpolate the drives themselves; (0, N) for any other, which interpolates the channels
     p : (np,) parameters of the model
@@ -69,6 +70,7 @@ class NullPath:
     grid: Grid
     x: Array
     slope: Array
+    before: Array
     d: Array
     drive_holds: tuple[str, ...]
     p: Array
@@ -93,7 +95,7 @@ class NullPath:
         A channel with the zero-order hold keeps the value of the step's start, also at its end.
         """
         h, s = self.lengths, share
-        x0, x1, d0, d1 = self.x[:, :-1], self.x[:, 1:], self.slope[:, :-1], self.slope[:, 1:]
+        x0, x1, d0, d1 = self.x[:, :-1], self.x[:, 1:], self.slope[:, :-1], self.before
         low, rise = (1 + 2 * s) * (1 - s) ** 2, s * s * (3 - 2 * s)
         x = low * x0 + rise * x1 + h * s * (1 - s) * ((1 - s) * d0 - s * d1)
         u = _between(self.grid.channels, self.grid.holds, share)
@@ -218,9 +220,14 @@ def with_slope(model: Model, grid: Grid, x: Array, p: Array) -> NullPath:
     if model.linear is not None and model.d.numel() and not timed_drives(model):
         made = Drives(model, grid, ca.SX(0, 1), ca.SX(ca.DM(p)))
         drives, holds = made.at(np.zeros(0)).value, made.holds
-    path = NullPath(model, grid, x, x, drives, holds, p)
-    found = path.function([model.ode])(*path.at_samples().arguments)[0]
-    return replace(path, slope=np.broadcast_to(found, x.shape))
+    path = NullPath(model, grid, x, x, x[:, 1:], drives, holds, p)
+    rates = path.function([model.ode])
+    slope = np.broadcast_to(rates(*path.at_samples().arguments)[0], x.shape)
+    before = slope[:, 1:]
+    if path.held or any(hold != "first" for hold in holds):
+        u, d = _between(grid.channels, grid.holds, 1.0), _between(drives, holds, 1.0)
+        before = np.broadcast_to(rates(x[:, 1:], u, d, grid.time[None, 1:])[0], before.shape)
+    return replace(path, slope=slope, before=before)
 
 
 def _between(values: Array, holds: tuple[str, ...], share: float) -> Array:

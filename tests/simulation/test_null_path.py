@@ -79,3 +79,34 @@ def test_two_bursts_ten_minutes_apart():
     at = np.searchsorted(path.grid.time, t - 1e-9)
     np.testing.assert_allclose(path.grid.time[at], t, rtol=0, atol=1e-9)
     np.testing.assert_allclose(path.x[:, at], np.array(states).T, rtol=0, atol=3e-6)
+
+
+def test_what_lies_before_a_step_of_a_held_input_knows_nothing_of_it():
+    """A controller's output holds the noise of the reading it is made of: what would see it before its time, explained
+    half of that noise, and all else was tested against the other half."""
+    b = ce.Blueprint("boiler")
+    heater, water, power = b.state("h", unit="K"), b.state("T", unit="K"), b.input("P", unit="W")
+    b.ode("h", (power - 20 * (heater - water)) / 180)
+    b.ode("T", 20 * (heater - water) / 1700)
+    b.output("T", water, unit="K")
+    model, t = b.model(), np.arange(60.0)
+    paths = []
+    for jump in (0.0, 100.0):
+        given = 300 + 50 * np.sin(0.3 * t)
+        given[30] += jump
+        data = ce.Experiment.from_arrays(
+            "run", time=t, units={"P": "W", "T": "K"}, hold={"P": "zero"}, P=given, T=0 * t
+        )
+        grid = lay_grid(model, data, outputs=("T",))
+        paths.append(null_path(model, grid, np.zeros(0), np.array([300.0, 290.0])))
+    one, other = (path.between(0.5).x for path in paths)
+    np.testing.assert_array_equal(one[:, :30], other[:, :30])
+    assert np.abs(one[:, 30] - other[:, 30]).max() > 0.1
+    turn = np.array([[-20 / 180, 20 / 180], [20 / 1700, -20 / 1700]])
+    whole = np.zeros((3, 3))
+    whole[:2, :2], whole[0, 2] = turn, 1 / 180
+    half = expm(0.5 * whole)
+    x = paths[1].x[:, :-1]
+    held = data["P"].values[:-1]
+    exact = half[:2, :2] @ x + half[:2, 2:] * held
+    np.testing.assert_allclose(other, exact, rtol=0, atol=1e-5)
