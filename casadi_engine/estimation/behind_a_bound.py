@@ -3,7 +3,8 @@
 The errors of the others are those along the bound, to first order. Where a search ends on a bound in a valley that
 bends, the likelihood is nearly as high elsewhere, and the others are elsewhere too. So the model is fitted once more
 with that parameter held inside, from where its search began on towards the bound, until chi-squared is within the 95 %
-region.
+region; and on from there, away from the bound, as far as that region goes. Where chi-squared is lower inside, the bound
+was no optimum, and the search goes on from there.
 """
 
 from __future__ import annotations
@@ -21,6 +22,10 @@ from casadi_engine.parameters import Parameters
 _WITHIN, _ELSEWHERE = 4.0, 2.0
 # Parameters on a bound that are looked behind, and fits for each.
 _MOST, _FITS = 2, 5
+# Chi-squared by which a fit from inside has to be lower to take the place of one on a bound; so often.
+_LOWER, _AGAIN = 0.1, 3
+# Share of the way that places away from the bound lie apart.
+_ON = 0.125
 # Power of the distance from the bound with which chi-squared rises, at least.
 _FLATTEST = 0.5
 # Share of a value within which a place is that of the bound.
@@ -33,20 +38,32 @@ def told_from_their_bounds(fit: Fit, parameters: Parameters, again: Callable[[di
 
     again(changes) : makes a fit with changed arguments
     """
+    for _ in range(_AGAIN):
+        found = _looked_behind(fit, parameters, again)
+        lower = found if found is not None and found.cost < fit.cost - _LOWER else None
+        if lower is None:
+            return fit if found is None else found
+        fit = lower
+    return fit
+
+
+def _looked_behind(fit: Fit, parameters: Parameters, again: Callable[[dict[str, Any]], Fit]) -> Fit | None:
+    """The fit as it is told from its bounds, or a lower one; None where nothing is said of them."""
     held = [name for name in fit.free if fit.estimates[name].at_bound and name in fit.start]
     if not fit.converged or fit.gain is not None:
-        return fit
+        return None
     for name in held[:_MOST]:
         found = _behind(fit, name, parameters, again)
-        if found is not None:
+        if found is not None and found is not fit:
             return found
-    return fit
+    return None
 
 
 def _behind(
     fit: Fit, name: str, parameters: Parameters, again: Callable[[dict[str, Any]], Fit]
 ) -> Fit | None:
-    """The fit without the errors of what is elsewhere at some place of one parameter that the data allow."""
+    """The fit without the errors of what is elsewhere at some place of one parameter that the data allow, or one from
+    such a place that is lower."""
     bound, inside = fit.estimates[name].value, _first_inside(fit, name, parameters)
     if inside is None:
         return None
@@ -59,11 +76,20 @@ def _behind(
         inside = bound * math.exp(at) if by_logarithm else bound + at
         other = _held_at(name, inside, parameters, again)
         rise = math.inf if other is None else _rise(fit, other) / worth
+        if other is not None and rise < -_LOWER:
+            lower = again({"parameters": parameters, "warm": other})
+            return lower if lower.converged and _rise(fit, lower) < -_LOWER else None
         if other is not None and rise <= _WITHIN:
             found = _without_errors(fit, other, name, inside, rise)
-            if found is not fit or not far:
+            if found is not fit:
                 return found
             near = at
+            if not far:  # it goes on, away from the bound
+                further = _further(bound, at, parameters[name], by_logarithm=by_logarithm)
+                if further is None:
+                    return None
+                at = further
+                continue
         else:
             if rise < risen < math.inf:
                 power = min(max(math.log(risen / rise) / math.log(far / at), _FLATTEST), 2.0)
@@ -72,6 +98,15 @@ def _behind(
         share = min(0.5, (0.5 * _WITHIN / risen) ** (1 / power)) if risen < math.inf else 0.5
         at = math.copysign(math.sqrt(near * far), far) if near else share * far
     return None
+
+
+def _further(bound: float, at: float, own: Any, *, by_logarithm: bool) -> float | None:
+    """A place further from the bound: by a share of the way to the other one, or of the way so far; None from there."""
+    other = own.max if at > 0 else own.min
+    if not math.isfinite(other):
+        return (1 + _ON) * at
+    end = math.log(other / bound) if by_logarithm else other - bound
+    return None if abs(at) >= (1 - _SAME) * abs(end) else at + _ON * (end - at)
 
 
 def _first_inside(fit: Fit, name: str, parameters: Parameters) -> float | None:

@@ -79,7 +79,8 @@ def exchanged(search: Search, errors: Uncertainty) -> list[Doubt]:
     """What explains the data as well: parameters of one unit with their values exchanged, or other signs."""
     found = []
     for twin in twins(search, errors, _RIVAL):
-        if twin.higher < -_LOWER:
+        kind = "lost" if twin.higher < -_LOWER else "rival"
+        if kind == "lost":
             text = (
                 f"the data are explained better with {twin} (chi-squared {-twin.higher:.2g} "
                 "lower): this is not the lowest optimum; start from there, or search with starts=10"
@@ -96,7 +97,7 @@ def exchanged(search: Search, errors: Uncertainty) -> list[Doubt]:
         there = np.concatenate([twin.v, *twin.starts])
         here = np.concatenate([errors.v, *(lay.take(errors.x)[0] for lay in search.problem.layouts)])
         moved = _with_states(errors, twin.v) if twin.pairs else there - here
-        found.append(Doubt("rival", text, moved))
+        found.append(Doubt(kind, text, moved))
     return found
 
 

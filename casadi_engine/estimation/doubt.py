@@ -22,8 +22,9 @@ CALL = "call ce.posterior(fit)"
 class Doubt:
     """Why some standard errors are not those of the quadratic.
 
-    kind : "rival" (another optimum was found), "lost" (a constant explains an output better), "rugged" (noise makes
-    optima), "curved", "bent" (by another parameter), "bound" or "uneven", for which an interval by profile will do;
+    kind : "rival" (another optimum was found), "lost" (a lower one was, or a constant explains an output better),
+    "rugged" (noise makes optima), "curved", "bent" (by another parameter), "bound" or "uneven", for which an interval
+    by profile will do
     text : for the reader; size : how grave; move : (N,) of [v; initial states], the direction in doubt, one standard
     error long (a rival's: to there; a bound's, and an uneven one's: the parameter)
     """

@@ -212,7 +212,9 @@ def _all_plain(doubts: Sequence[Doubt], slope: Array, matrix: Array) -> bool:
 def _lower(doubts: Sequence[Doubt]) -> Doubt:
     """What is doubted where a profile came below the optimum."""
     text = f"the errors are not known: a profile met a lower optimum near by; search again with starts=10, or {CALL}"
-    return Doubt("rugged", text, doubts[0].move)
+    return Doubt(
+        "lost", text, np.zeros_like(doubts[0].move)
+    )  # none of the values is that of the lowest optimum
 
 
 def _without_error(one: Estimate, doubt: Doubt, interval: tuple[float, float] | None) -> Estimate:

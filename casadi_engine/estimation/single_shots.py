@@ -72,6 +72,8 @@ class SingleShots:
     def _lay(self, search: Search) -> None:
         self._search = search
         self._spectral: SpectralSearch | None = None  # set up once it is wanted
+        # the records in one interval, in Runge-Kutta steps, and those of which they are such
+        self._abreast: tuple[tuple[int, ...], list[RecordTerm]] | None = None
         self.free = self._search.pmap.free
         own = np.concatenate(
             [
@@ -173,20 +175,26 @@ class SingleShots:
             at += record.n
         return found
 
-    @property
-    def runs_side_by_side(self) -> bool:
-        """Whether many points can be simulated at once, by the steps that there are."""
-        return all(
-            record.gain is None and runs_side_by_side(record.single().propagator)
-            for record in self._search.records
-        )
+    def runs_side_by_side(self, x: Array) -> bool:
+        """Whether many points can be simulated at once, by Runge-Kutta steps that are as fine as those of the fit at
+        x (nx,)."""
+        steps = tuple(id(record.single()) for record in self._search.records)
+        if self._abreast is None or self._abreast[0] != steps:
+            at, made = len(self.free), list[RecordTerm]()
+            for record in self._search.records:
+                whole = _in_steps(record, x[: len(self.free)], x[at : at + record.n])
+                made += [] if whole is None else [whole]
+                at += record.n
+            self._abreast = steps, made
+        return len(self._abreast[1]) == len(steps)
 
     def side_by_side(self, x: Array, sigma: Mapping[str, Array]) -> Array:
         """Residuals (P, K) at points x (P, nx), where ``runs_side_by_side``, in the outputs' standard deviations (P,)
         at each; NaN in those that have none."""
         found, at, nv = np.zeros((len(x), self.count)), len(self.free), len(self.free)
-        for record in self._search.records:
-            whole = record.single()
+        for record, whole in zip(
+            self._search.records, [] if self._abreast is None else self._abreast[1], strict=True
+        ):
             own: Any = whole.propagator
             y = side_by_side(own, x[:, :nv][:, record.active].T, x[:, at : at + record.n].T)
             shown = whole.observation.observe(y)
@@ -247,6 +255,27 @@ class SingleShots:
         if not np.isfinite(residuals).all():
             raise FloatingPointError("the sensitivities are not finite here")
         return found
+
+
+def _in_steps(record: RecordTerm, v: Array, first: Array) -> RecordTerm | None:
+    """A record in one interval, in Runge-Kutta steps as fine as it asks for at v (nv,) from a first state (n,); None
+    where it has none."""
+    whole = record.single()
+    if record.gain is not None or record.linear or runs_side_by_side(whole.propagator):
+        return whole if record.gain is None and runs_side_by_side(whole.propagator) else None
+    whole = record.again(gain=None)
+    if not whole.step_in_places(anyway=True):
+        return None
+    whole.weight = record.single().weight
+    try:
+        for _ in range(_SHORTENED):
+            whole.outputs_at(v, first[None])
+            if not shorten_steps([whole], v, [first[None]]):
+                break
+        whole.outputs_at(v, first[None])
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None
+    return whole if runs_side_by_side(whole.propagator) else None
 
 
 def _chained(record: RecordTerm, v: Array, first: Array) -> Array:

@@ -198,7 +198,11 @@ class LaplaceLikelihood:
         """The same by one run for many points, NaN where it is not told so: where there are few, as laws ask for steps
         of their own at each point, and where it does not say what a point by itself says."""
         found = np.full(len(v), np.nan)
-        if len(v) < _FEW or len(self.branches) > 1 or not self._shots.runs_side_by_side:
+        if (
+            len(v) < _FEW
+            or len(self.branches) > 1
+            or not self._shots.runs_side_by_side(self.branches[0].best)
+        ):
             return found
         many = ManyPoints(self._shots, self.branches[0].parts, _STEPS, _FALL)
         for part in np.array_split(np.arange(len(v)), -(-len(v) // many.room)):
@@ -206,7 +210,6 @@ class LaplaceLikelihood:
         order = np.argsort(np.where(np.isnan(found), -np.inf, found))
         for k in order[[-1, -1 - len(order) // 4, len(order) // 2]]:  # the best one, and others
             alone = self._value(v[k], sigma[k])
-            print("CHK", found[k], alone, found[order[-1]])
             if np.isfinite(found[k]) and abs(found[k] - alone) > _ALIKE * max(1.0, found[order[-1]] - alone):
                 return np.full(len(v), np.nan)
         return found
@@ -244,7 +247,7 @@ class LaplaceLikelihood:
     def squares_of(self, v: Array, sigma: Array) -> list[Squares | None]:
         """See ``squares``, at points v (P, nv) that lie far apart."""
         found: list[Squares | None] = [None] * len(v)
-        if len(v) > 1 and len(self.branches) == 1 and self._shots.runs_side_by_side:
+        if len(v) > 1 and len(self.branches) == 1 and self._shots.runs_side_by_side(self.branches[0].best):
             many = ManyPoints(self._shots, self.branches[0].parts, _STEPS, _FALL)
             x = np.array([self.branches[0].begun(one) for one in v])
             levels = {name: np.full(len(v), self._level(sigma, name)) for name in self._outputs}

@@ -233,8 +233,10 @@ class ExponentialPropagator:
     def _values(self, z: Array, nodes: Array, matrices: StepMatrices) -> Steps:
         """The states, signals and law torques of all steps."""
         _, v, _, _ = self.drive_columns(z)
-        run = by_arrays if self.intervals.m >= WIDE else by_machine
-        return run(matrices, self.laws, self._given, v, z, np.asarray(nodes, dtype=float))
+        run, plan = by_arrays if self.intervals.m >= WIDE else by_machine, self.intervals
+        steps = run(matrices, self.laws, self._given, v, z, np.asarray(nodes, dtype=float))
+        last = (self.grid.samples - 1 - (plan.m - 1) * plan.length) * self.substeps
+        return steps.until(last, self.laws.count)
 
     def _slopes(self, z: Array, steps: Steps) -> tuple[Array, Array]:
         """Derivatives of the laws: by signals (K, 4, entries, M), by the active z (K, 4, active, nw, M)."""

@@ -34,6 +34,20 @@ class Steps:
     end: Array
     s: Array
 
+    def until(self, last: int, laws: int) -> Steps:
+        """The same, standing still after so many steps of the last interval: where the record has ended a model may run
+        off (a rocket whose mass is gone), and what it does there is not asked."""
+        if last >= len(self.columns):
+            return self
+        n, torques = len(self.end), self.columns[:, self.columns.shape[1] - STAGES * laws :, -1]
+        if last:
+            torques[last:], self.s[last:, ..., -1] = torques[last - 1], self.s[last - 1, ..., -1]
+        else:  # but its first stage, nothing of it is in the record
+            torques[:], self.s[..., -1] = np.tile(torques[0, :laws], STAGES), self.s[0, 0, :, -1]
+        self.columns[last + 1 :, :n, -1] = self.columns[last, :n, -1]
+        self.end[:, -1] = self.columns[last, :n, -1]
+        return self
+
 
 def by_arrays(matrices: StepMatrices, laws: Laws, given: Array, v: Array, z: Array, nodes: Array) -> Steps:
     """Steps from ``nodes`` (M, n); given : (K, nodes, rows, M) what the laws take from channels; v : (K, 2m, M)."""

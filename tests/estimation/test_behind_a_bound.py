@@ -208,3 +208,50 @@ def test_a_heater_whose_capacity_the_air_hardly_tells():
             error = fit.estimates[name].stderr
             assert error is None or abs(fit.values[name] - true) < 4 * error
     assert held
+
+
+class Lower(Held):
+    """Inside, chi-squared is lower; from there a search ends inside too."""
+
+    def again(self, changes):
+        if changes["warm"] is None:
+            return self.other
+        assert changes["warm"] is self.other
+        assert changes["parameters"] is self
+        return replace(
+            self.other,
+            estimates={
+                name: replace(one, at_bound=False, stderr=0.2) for name, one in self.other.estimates.items()
+            },
+        )
+
+
+def test_a_lower_optimum_inside_takes_the_place_of_the_one_on_the_bound():
+    fit = on_its_bound()
+    held = Lower(elsewhere(fit, cost=95.0))
+    found = told_from_their_bounds(fit, held, held.again)
+    assert (found.cost, found.values["C"], found.estimates["C"].stderr) == (95.0, 700.0, 0.2)
+    alike = Lower(elsewhere(fit, cost=99.95))
+    assert told_from_their_bounds(fit, alike, alike.again).estimates["G"].stderr is None
+
+
+class Valley(Held):
+    """As high as on the bound up to a place from which on the others are elsewhere."""
+
+    def again(self, changes):
+        there = elsewhere(self.other, cost=101.0)
+        return there if self.fixed[-1][1] > 1000 else replace(self.other, cost=101.0)
+
+
+def test_a_place_that_says_nothing_leads_on_away_from_the_bound():
+    fit = on_its_bound()
+    held = Valley(fit, bounds=(10.0, 1e6))
+    found = told_from_their_bounds(fit, held, held.again)
+    places = [value for _, value in held.fixed]
+    assert places == sorted(places)
+    assert places[0] == pytest.approx(700)
+    assert places[-1] > 1000
+    assert found.estimates["G"].stderr is None
+    near = Valley(fit, bounds=(10.0, 700.0))  # which is the other bound
+    assert told_from_their_bounds(fit, near, near.again) is fit
+    assert len(near.fixed) == 1

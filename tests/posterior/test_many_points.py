@@ -99,7 +99,7 @@ def test_linear_models_have_ways_of_their_own():
     noise = 0.01 * np.random.default_rng(0).standard_normal(30)
     data = ce.Experiment.from_arrays("run", time=t, units={"x": "V"}, x=np.exp(-1.3 * t) + noise)
     target = Target(ce.estimate(b.model(), data, initial={"x": 1.0}, progress=False))
-    assert not target.likelihood._shots.runs_side_by_side
+    assert not target.likelihood._shots.runs_side_by_side(target.likelihood.branches[0].best)
     points = target.start[None, : target.nv] + np.array([[0.0], [0.1]])
     each = [target.squares(one) for one in points]
     assert [one.cost for one in target.squares_of(points)] == [one.cost for one in each]
