@@ -16,6 +16,7 @@ import numpy as np
 
 from casadi_engine.deadline import TimeUp, ask, late
 from casadi_engine.discrepancy.event_times import located
+from casadi_engine.discrepancy.exchanged_units import LATE
 from casadi_engine.discrepancy.families import chosen_of, costs_of, families_of
 from casadi_engine.discrepancy.in_place import (
     at_another_time,
@@ -169,6 +170,15 @@ class Additions:
         if linear:
             self.lead, self.start = step, start_without(best.arrived, best.newest(self.here))
         left = self._promising(best, step, rest, clearly=not linear)
+        # a delay and a lag of one channel are far from one another by a step, and not by their refits
+        effect, port = best.newest(self.here).candidate.key
+        for key in [k for k in rest if effect in LATE and k[0] in LATE and k[1] == port]:
+            self.tell(f"refit of what is late as well: {key[0]} at {key[1]}")
+            one, start = (
+                chosen_of(self.screened, step, self.families[key]),
+                start_without(best.arrived, best.newest(self.here)),
+            )
+            self._try(one, start, near=True)
         cost = costs_of(self.screened, step, self.families)
         self.left_out |= {key: cost[key] for key in rest if key not in left}
         return left

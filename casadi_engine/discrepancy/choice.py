@@ -25,6 +25,7 @@ from casadi_engine.discrepancy.exchange import (
     in_its_parts,
     is_far,
     known_twins,
+    late_otherwise,
     leaves_more,
     special_cases,
     weak_beside_colour,
@@ -398,6 +399,7 @@ class Choice:
                 tried.append(more)
                 best = more
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
+            best = late_otherwise(self.refits, best, self.null.screened, self.tell)
             # where that is not told, the simpler one is named in the end: a whole fit of the other is in a flat valley
             self._timed("exchange", lambda: self._special_cases_of(best))  # noqa: B023
             best = simpler(best, self._alike(best), FACTOR)

@@ -107,9 +107,28 @@ def known_twins(refits: Refits, best: Key, screened: Screened, tell: Tell) -> No
             refits.tried((*rest, other), start_without(now.arrived, member))
 
 
+def late_otherwise(refits: Refits, best: Tried, screened: Screened, tell: Tell) -> Tried:
+    """A structure, or the one with a lag in the place of a delay of the same channel, or the other way round, where
+    that is more probable: by a step beside one of them the other lies far off, and what the wrong one of the two leaves
+    is no missing effect."""
+    made: list[Tried] = []
+    for member in best.effects:
+        for key, other in _late_as_well(member, screened).items():
+            target = best.key - {member.candidate.key} | {key}
+            if key[1] != member.candidate.port or key in best.key or target in refits.pool or late():
+                continue
+            ask()
+            tell(f"{other.label} in place of {member.label}, in {best.label}")
+            rest = (one for one in best.effects if one is not member)
+            made += refits.tried((*rest, other), start_without(best.arrived, member))
+    refits.weigh()
+    ready = [one for one in made if one.beyond > BEYOND and one.log > best.log]
+    return max(ready, key=lambda one: one.log, default=best)
+
+
 def _late_as_well(member: Addition, screened: Screened) -> dict[tuple[str, str], Addition]:
     """What else may be late where one effect of a structure is."""
-    if member.candidate.effect not in LATE:
+    if member.candidate.key[0] not in LATE:
         return {}
     found = {}
     for key, own in every_family(screened).items():

@@ -56,8 +56,9 @@ def headline(repair: Repair) -> str:
         unseen = blind and not names_own_law(repair)
         why = "no physical effect could be looked for" if unseen else "no effect of the library names it"
         unnamed = _law_alone(repair)
-        if repair.stopped and not blind and not unnamed:
-            why = "the search ended before an effect of the library could name it"
+        if repair.stopped and not blind:
+            ended = "the search ended before an effect of the library could name it"
+            why = "no effect that was tried names it" if unnamed else ended
         return f"something is missing, and {why}{unnamed}{_nearest(repair)}"
     sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
     others = [m.label for one in repair.effects for m in one.members[1:]]
