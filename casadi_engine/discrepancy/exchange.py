@@ -115,13 +115,14 @@ def late_otherwise(refits: Refits, best: Tried, screened: Screened, tell: Tell) 
     for member in best.effects:
         for key, other in _late_as_well(member, screened).items():
             target = best.key - {member.candidate.key} | {key}
-            if key[1] != member.candidate.port or key in best.key or target in refits.pool or late():
+            if key[1] != member.candidate.key[1] or key in best.key or target in refits.pool or late():
                 continue
             ask()
             tell(f"{other.label} in place of {member.label}, in {best.label}")
             rest = (one for one in best.effects if one is not member)
             made += refits.tried((*rest, other), start_without(best.arrived, member))
-    refits.weigh()
+    if made:
+        refits.weigh()
     ready = [one for one in made if one.beyond > BEYOND and one.log > best.log]
     return max(ready, key=lambda one: one.log, default=best)
 
