@@ -60,7 +60,7 @@ def fit(
 
 def _with_doubts(job: Job, found: Fit) -> Fit:
     """The fit with what is likely wrong with its data said first, where it follows next to nothing of an output: an
-    input reversed, a unit, two columns exchanged. It is looked for as long as the fit took, and a second."""
+    input reversed, a unit, two columns exchanged. It is looked for twice as long as the fit took, and three seconds."""
     from casadi_engine.estimation.followed import not_followed
 
     if found.status == "interrupted" or not not_followed(found):
@@ -76,7 +76,7 @@ def _with_doubts(job: Job, found: Fit) -> Fit:
         "method": problem.method,
     }
     doubt = None
-    with suppress(TimeUp, KeyboardInterrupt), Deadline(1.0 + found.timing["solve"]):
+    with suppress(TimeUp, KeyboardInterrupt), Deadline(3.0 + 2.0 * found.timing["solve"]):
         doubt = misread(found, problem.parameters, problem.noise, options, math.inf, every=True)
     if doubt is None:
         return found

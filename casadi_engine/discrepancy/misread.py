@@ -74,11 +74,11 @@ def misread(
     fit : of the model without effects, from ``parameters``, with ``noise`` and ``options``; work : of one of its starts
     every : also what a search for effects would tell, where there is none
     """
-    poor = unexplained(fit)
+    poor = unexplained(fit, every=every)
     if not poor:
         return None
-    job = _Readings(fit.model, fit.data, parameters, noise, options)
     ways = readings(fit.model, fit.data, every=every)
+    job = _Readings(fit.model, fit.data, parameters, noise, options, len(ways) if every else _TRIED)
     if (sensors := _sensors(fit, poor)) is not None:
         ways = [one for one in ways if one.what == "output" and sensors.issuperset(one.names)]
     found = job.good(ways, work, lambda shares: min(shares.values(), default=0.0) >= _GOOD)
@@ -141,11 +141,11 @@ def with_other_reading(
     return replace(repair, options={**repair.options, HINT: said})
 
 
-def unexplained(fit: Fit) -> dict[str, float]:
-    """Output -> per cent that is followed, of those of which next to nothing is; where a parameter went to a bound also
-    of those of which a good part is left."""
+def unexplained(fit: Fit, *, every: bool = False) -> dict[str, float]:
+    """Output -> per cent that is followed, of those of which next to nothing is; where a parameter went to a bound, or
+    of ``every`` fit, also of those of which a good part is left."""
     bound = any(fit.estimates[name].at_bound for name in fit.free if name in fit.estimates)
-    limit = FOLLOWED if bound else _NOTHING
+    limit = FOLLOWED if bound or every else _NOTHING
     return {name: share for name, share in followed(fit).items() if share <= limit}
 
 
@@ -191,6 +191,7 @@ class _Readings:
     parameters: Parameters
     noise: Noise | None
     options: Mapping[str, Any]
+    tried: int = _TRIED
 
     def good(
         self, ways: Sequence[Reading], work: float, is_good: Callable[[Mapping[str, float]], bool]
@@ -213,7 +214,7 @@ class _Readings:
         looks.sort(key=lambda pair: pair[0])
         fits: list[tuple[float, Reading, dict[str, float]]] = []
         least = math.inf  # at first sight, of those that are good
-        for left, one in looks[:_TRIED]:
+        for left, one in looks[: self.tried]:
             if left > least + math.log(_PROMISING):
                 break
             records = [one.of(record) for record in self.data]

@@ -33,7 +33,8 @@ _CHANNELS = 8
 class Reading:
     """A way to read the records: channels, or the time, times a factor and plus a number, or two channels exchanged.
 
-    what : "input", "output", "time" or "exchange"; names : of channels; words : what is done, for a sentence;
+    what : "input", "output", "time", "exchange", or "numbers" for two channels of unlike units; names : of channels;
+    words : what is done, for a sentence;
     check : what may be wrong; named : a search for effects tells it, by the sensor or the input
     """
 
@@ -50,11 +51,14 @@ class Reading:
         if self.what == "time":
             begin = None if record.begin is None else self.factor * record.begin
             return replace(record, channels=tuple(self._later(c) for c in record.channels), begin=begin)
-        if self.what == "exchange":
+        if self.what in ("exchange", "numbers"):
             if any(name not in record for name in self.names):
                 return record
             one, other = (record[name] for name in self.names)
-            return record.with_channel(_as(one, other)).with_channel(_as(other, one))
+            both = _as(one, other), _as(other, one)
+            if self.what == "numbers":  # each keeps the unit that it is said to have
+                both = replace(both[0], unit=one.unit), replace(both[1], unit=other.unit)
+            return record.with_channel(both[0]).with_channel(both[1])
         for name in self.names:
             if name in record:
                 own = record[name]
@@ -92,7 +96,7 @@ def readings(model: Model, data: Sequence[Experiment], *, every: bool = False) -
     for factor, words in _CLOCKS.items():
         found.append(Reading("time", (), f"{_TIME} times {factor:.4g} ({words})", "look at its unit", factor))
     found = sorted(found, key=lambda one: (one.factor != -1.0, one.what != "time", _PREFIX not in one.words))
-    found += [*_exchanged(moving), *_exchanged(outputs)]
+    found += [*_exchanged(moving), *_exchanged(outputs), *(_across(moving, outputs) if every else ())]
     found += _temperatures("input", moving)
     return [*found, *(one for one in _temperatures("output", outputs) if every or not one.named)]
 
@@ -124,6 +128,14 @@ def _exchanged(channels: Sequence[Variable]) -> Iterator[Reading]:
             for pair in combinations(names, 2):
                 words = f"{pair[0]} and {pair[1]} exchanged"
                 yield Reading("exchange", pair, words, "look which column is which")
+
+
+def _across(inputs: Sequence[Variable], outputs: Sequence[Variable]) -> Iterator[Reading]:
+    """An input and an output of different units under each other's heading."""
+    pairs = [(one, other) for one in inputs for other in outputs if one.unit != other.unit]
+    for one, other in pairs[:_CHANNELS]:
+        words = f"the numbers of {one.name} and {other.name} exchanged"
+        yield Reading("numbers", (one.name, other.name), words, "look which column is which")
 
 
 def _temperatures(what: str, channels: Sequence[Variable]) -> Iterator[Reading]:

@@ -292,9 +292,10 @@ class _Around:
         found, matrix = [], self.errors.kept
         if curvature > FLAT or not all(RISES[0] < rise < RISES[1] for rise in rises):
             low, high = (FAR**2 * rise for rise in rises)
+            bend = f" (curvature {curvature:.2g})" if curvature > FLAT else ""
             text = (
                 f"the likelihood is not quadratic along {names}: {FAR:g} standard errors away chi-squared rises by "
-                f"{low:.2g} and {high:.2g} (curvature {curvature:.2g})"
+                f"{low:.2g} and {high:.2g}, not by {FAR**2:g}{bend}"
             )
             found.append(Doubt("curved", text, move, curvature))
         for k in np.flatnonzero(bends > _BENDS):

@@ -209,7 +209,10 @@ def _gain(fit: Fit) -> list[str]:
 def cost_words(fit: Fit) -> str:
     """The cost, what it is per sample, and what that can tell."""
     text = f"{number(fit.cost, '.7g')}   chi2/N {number(fit.cost / fit.n if fit.n else None, '.4g')}"
-    if fit.noise and all(estimated for _, estimated in fit.noise.values()):
+    squares = (
+        fit.options.get("loss", "square") == "square"
+    )  # a robust loss has the level of the inner residuals
+    if squares and fit.noise and all(estimated for _, estimated in fit.noise.values()):
         text += " (near 1 by construction: sigma is estimated)"
     return text + f"   dof {number(fit.dof, '.6g')}"
 

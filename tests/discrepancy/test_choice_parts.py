@@ -137,6 +137,8 @@ def test_a_structure_that_an_exchange_found_is_kept_when_its_corners_are_sharpen
     monkeypatch.setattr(module, "weak_beside_colour", lambda *_: False)
     monkeypatch.setattr(module, "vanished", lambda *_: False)
     monkeypatch.setattr(module, "simpler", lambda now, *_: now)
+    for name in ("in_its_parts", "late_otherwise"):
+        monkeypatch.setattr(module, name, lambda _, best, *__: best)
     scores = stub(testable=np.array([True]))
     screened = stub(scores=scores, significant=(0,), noise=stub(colour={}), choice=stub(rounded={}))
 

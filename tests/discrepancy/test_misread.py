@@ -348,3 +348,28 @@ def test_a_confirmed_effect_of_data_as_they_are_has_no_other_reading():
     )  # fmt: skip
     assert found.verdict == "nothing missing"
     assert HINT not in found.options
+
+
+def alone(model, record):
+    """What is said of a fit that no search for effects follows."""
+    fit = ce.estimate(model, record, progress=False)
+    return misread(fit, model.parameters(), None, {}, WORK, every=True)
+
+
+def test_numbers_under_each_others_headings_are_told_where_units_differ():
+    made = run()
+    swapped = recorded({**made, "F": made["pos"], "pos": made["F"]})
+    found = alone(cart(both=False), swapped)
+    assert "with the numbers of F and pos exchanged the fit explains" in found.words
+    record = recorded(made)
+    (way,) = [one for one in readings(cart(both=False), (record,), every=True) if one.what == "numbers"]
+    other = way.of(record)
+    assert (other["F"].unit, other["pos"].unit) == ("N", "m")
+    np.testing.assert_array_equal(other["F"].values, record["pos"].values)
+    assert not [one for one in readings(cart(), (record,)) if one.what == "numbers"]
+
+
+def test_all_ways_are_fitted_where_nothing_else_would_tell_them():
+    """Far from the parameters' start the right way does not look the best at first sight."""
+    found = alone(cart(both=False), recorded(run(k=25.0), time=1e-3))
+    assert "with the time times 1000 (seconds stated as milliseconds)" in found.words
