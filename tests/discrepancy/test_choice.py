@@ -565,7 +565,8 @@ def test_friction_that_differs_by_direction_is_none_beside_a_constant_torque():
         for effect in effects:
             candidate = SimpleNamespace(key=(effect.name, "leaf"), source=SimpleNamespace(effect=effect))
             made.append(SimpleNamespace(candidate=candidate, key=f"leaf.{effect.name}"))
-        arrived = path.Arrived({}, {}, 1.0, True, frozenset(), None, {})
+        own = {"leaf.asymmetric_friction.torque": 2.0, "leaf.asymmetric_friction.asymmetry": 1.0}
+        arrived = path.Arrived(own, {}, 1.0, True, frozenset(), None, {})
         return refits.Tried(tuple(made), arrived, None, SimpleNamespace(log=1.0), dict)
 
     def fails(*_):
