@@ -35,8 +35,15 @@ def simpler(now: Any, alike: Sequence[Any], factor: float) -> Any:
         case = next((t for t in alike if t.key == key and t.log > top - math.log(factor)), None)
         if case is not None:
             return case
-    few = [t for t in alike if t.log > top - _TIE and numbers(t.effects) < numbers(now.effects)]
-    return min(few, key=lambda t: (numbers(t.effects), -t.log), default=now)
+    own = numbers(now.effects), strange(now.effects)
+    few = [t for t in alike if t.log > top - _TIE and (numbers(t.effects), strange(t.effects)) < own]
+    return min(few, key=lambda t: (numbers(t.effects), strange(t.effects), -t.log), default=now)
+
+
+def strange(effects: Sequence[Addition]) -> int:
+    """How many effects are of another world than their port: what slides has dry friction, and heat has none."""
+    sliding = [one.candidate for one in effects if getattr(one.candidate.source.effect, "slides", False)]
+    return sum(not one.source.model.ports[one.port].is_mechanical for one in sliding)
 
 
 def numbers(effects: Sequence[Addition]) -> int:

@@ -57,6 +57,8 @@ from casadi_engine.discrepancy.refits import Refits, Tried
 _COLOURED = 3
 # The most probable functions of what a port does not know that are refitted too.
 _REFITTED = 3
+# Powers of the usual factor by which a law may be less probable than the effects that add up to it.
+_WORSE = 5
 # Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
 # real machine is never all that depends on its speed.
 _NEAR = 0.8
@@ -100,8 +102,9 @@ class UnknownLaw:
     def is_curve(self) -> bool:
         """True where several effects do no more than a smooth function of one signal: two laws of it add up to many a
         curve, as do one and an error of what it is measured by, and that they are fewer numbers is all that speaks for
-        them. A smooth function of finitely many terms may leave what a person would not see."""
-        return self.several and self.share <= 1 + SEEN**2
+        them. A smooth function of finitely many terms may leave what a person would not see; not what makes it so
+        improbable that nothing else would be asked of it, as a step and a delay of another channel do."""
+        return self.several and self.share <= 1 + SEEN**2 and self.log > -_WORSE * math.log(FACTOR)
 
     def on_fresh(self, closed: float) -> UnknownLaw:
         """The same with what effects explain by fresh data, which confirm them and of whose gap they close a share."""

@@ -72,6 +72,7 @@ class CoulombFriction(_Rounded):
     width: float | None = None
 
     name = "coulomb_friction"
+    slides = True
     attaches = ("inertia", "coupling")
     kin = ("stribeck_friction", "constant_torque", "viscous_friction")
     sentence = "dry friction at {port}"
@@ -102,6 +103,7 @@ class AsymmetricFriction(_Rounded):
     width: float | None = None
 
     name = "asymmetric_friction"
+    slides = True
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "stribeck_friction")
     limit = "coulomb_friction"
@@ -192,6 +194,7 @@ class StribeckFriction(_Rounded):
     fastest: float = _math.inf
 
     name = "stribeck_friction"
+    slides = True
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "viscous_friction")
     limit, limit_at, limit_end = "coulomb_friction", "fading", "max"

@@ -170,6 +170,7 @@ class Effect:
         what is read ("speed", or the signal's expression)
     neutral : the clause for ports where no torque or force acts; "" for the same
     fixed_only : True if it is looked for at no parameter that is estimated, which would do the same
+    slides : True for a law of what slides; elsewhere it is named after what the data do not tell from it
     retards : True if the amplitude is the time [s] by which a sensor is late: whole samples of it are then read off
         the sensor's times, and the law holds the rest
     amplitude : Amplitude        nuisance : name -> Grid
@@ -196,6 +197,7 @@ class Effect:
     sentence: ClassVar[str] = ""
     neutral: ClassVar[str] = ""
     fixed_only: ClassVar[bool] = False
+    slides: ClassVar[bool] = False
     retards: ClassVar[bool] = False
     amplitude: ClassVar[Amplitude]
     nuisance: ClassVar[Mapping[str, Grid]] = MappingProxyType({})

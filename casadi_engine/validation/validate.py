@@ -290,11 +290,20 @@ def _within_errors(
     return residual, mask, jacobian
 
 
+def _before(time: Array, at: Array, values: Array) -> Array:
+    """A held signal just before each time: what is set at a sample acts after it, and a controller makes it of the
+    reading there, whose noise is no sign of a wrong model."""
+    found: Array = values[np.maximum(np.searchsorted(at, time, side="left") - 1, 0)]
+    return found
+
+
 def _check(fit: Fit, record: str, output: str, trace: Trace, lags: int, again: Refit | None) -> OutputCheck:
     model = trace.simulated if trace.predicted is None else trace.predicted
     sizes = fit_measures(trace.measured, model, mask=trace.mask)
+    held = {c.name for one in fit.data if one.name == record for c in one.channels if c.hold == "zero"}
     drives = {
-        name: np.interp(trace.time, values[0], values[1]) for name, values in fit.drives[record].items()
+        name: _before(trace.time, *values) if name in held else np.interp(trace.time, *values)
+        for name, values in fit.drives[record].items()
     }
     residual, mask, jacobian = trace.residual, trace.mask, None
     place = (record, output)

@@ -51,3 +51,13 @@ def test_noise_that_a_controller_carries_into_the_input_is_no_effect(seed):
     found = ce.repair(boiler(), data, fresh=fresh, progress=False, initial={"h": 0.0, "T": 0.0})
     assert found.verdict == "nothing missing"
     assert found.noise.sigma["T"][0] == pytest.approx(0.08, rel=0.1)
+
+
+def test_a_right_model_of_a_closed_loop_passes_its_residual_tests():
+    """The controller's output is made of the reading of the same sample, and acts after it."""
+    data, fresh = controlled("run", seed=4, swing=5.0), controlled("fresh", seed=5, swing=8.0)
+    fit = ce.estimate(boiler(), data, initial={"h": 0.0, "T": 0.0}, progress=False)
+    found = ce.validate(fit, fresh)
+    assert found.passed
+    wrong = controlled("bent", seed=6, swing=8.0, quadratic=0.02)
+    assert not ce.validate(fit, wrong).passed

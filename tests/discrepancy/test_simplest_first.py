@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.membership import class_of, numbers, simpler
-from casadi_engine.effects import CoulombFriction, LoadStep, StribeckFriction
+from casadi_engine.effects import ConstantTorque, CoulombFriction, LoadStep, StribeckFriction
 
 PORT = "rotor"
 
@@ -18,10 +18,12 @@ PORT = "rotor"
 @dataclass(eq=False)
 class Added:
     effect: object
+    mechanical: bool = True
 
     @property
     def candidate(self):
-        source = SimpleNamespace(effect=self.effect)
+        port = SimpleNamespace(is_mechanical=self.mechanical)
+        source = SimpleNamespace(effect=self.effect, model=SimpleNamespace(ports={PORT: port}))
         return SimpleNamespace(key=(self.effect.name, PORT), port=PORT, source=source)
 
     @property
@@ -33,8 +35,8 @@ class Added:
         return self.effect.nuisance
 
 
-def tried(effect, log, **values):
-    one = Added(effect)
+def tried(effect, log, mechanical=True, **values):
+    one = Added(effect, mechanical)
     arrived = SimpleNamespace(values={f"{one.key}.{name}": value for name, value in values.items()})
     return SimpleNamespace(
         effects=(one,),
@@ -137,3 +139,14 @@ def test_how_far_a_record_reaches_is_read_off_its_speeds():
     assert (seen.beyond({"fading": 9.0}), seen.beyond({"fading": 7.0})) == (True, False)
     assert not StribeckFriction().beyond({"fading": 1e9})
     assert not CoulombFriction().beyond({})
+
+
+@pytest.mark.parametrize(("mechanical", "lead"), [(True, "coulomb_friction"), (False, "constant_torque")])
+def test_where_nothing_slides_dry_friction_is_named_after_what_the_data_do_not_tell_from_it(mechanical, lead):
+    """A constant power and one that follows the sign of a temperature's rise are one, where it only rises."""
+    dry = tried(CoulombFriction(), 0.8, mechanical)
+    constant = tried(ConstantTorque(), 0.0, mechanical)
+    (name,) = [one.effect.name for one in simpler(dry, [dry, constant], 20.0).effects]
+    assert name == lead
+    far = tried(ConstantTorque(), -0.5, mechanical)
+    assert simpler(dry, [dry, far], 20.0) is dry  # that one is told
