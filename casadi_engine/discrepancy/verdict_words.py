@@ -62,9 +62,11 @@ def headline(repair: Repair) -> str:
         return f"something is missing, and {why}{unnamed}{_nearest(repair)}"
     sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
     others = [m.label for one in repair.effects for m in one.members[1:]]
-    doubt = (
-        f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}" if others else ""
-    )
+    likely = _more_probable(repair)
+    others = [label for label in others if label not in likely]
+    doubt = f", or more probably {' or '.join(likely)}" if likely else ""
+    if others:
+        doubt += f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}"
     law = in_its_place(repair.unknown, repair.effects)
     if repair.unknown and (law or repair.unknown.odds is not None):
         doubt += f", or {'rather ' if law else ''}a law that the library lacks"
@@ -72,6 +74,17 @@ def headline(repair: Repair) -> str:
         doubt += ", and more that no effect of the library names"
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
+
+
+def _more_probable(repair: Repair) -> list[str]:
+    """The most probable members, two at most of each class, where the one that leads, as its fit had ended, is excluded
+    by them."""
+    found = []
+    for one in repair.effects:
+        if one.members and one.members[0].probability < 1 / FACTOR:
+            rest = sorted(one.members[1:], key=lambda member: -member.probability)
+            found += [member.label for member in rest[:2] if member.probability >= 1 / FACTOR]
+    return found
 
 
 def _law_alone(repair: Repair) -> str:
