@@ -103,7 +103,7 @@ def _behind(
 def _further(bound: float, at: float, own: Any, *, by_logarithm: bool) -> float | None:
     """A place further from the bound: by a share of the way to the other one, or of the way so far; None from there."""
     other = own.max if at > 0 else own.min
-    if not math.isfinite(other):
+    if not math.isfinite(other) or (by_logarithm and other <= 0):
         return (1 + _ON) * at
     end = math.log(other / bound) if by_logarithm else other - bound
     return None if abs(at) >= (1 - _SAME) * abs(end) else at + _ON * (end - at)

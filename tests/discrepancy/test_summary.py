@@ -64,7 +64,8 @@ def test_a_tank_is_spoken_of_as_a_tank(leaking):
     words = joined(leaking)
     assert "tank.constant_torque.torque = " in words
     assert (
-        " %; not excluded in its place (probability, correlation with it): coulomb_friction at tank (" in words
+        " %; not excluded in its place (probability, correlation with it): coulomb_friction at tank ("
+        in words
     )
     assert "a constant volume flow into tank: z = " in words  # nothing slides there
     assert "a volume flow at tank explains most of it" in words

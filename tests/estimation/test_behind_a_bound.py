@@ -1,5 +1,6 @@
 """A parameter that rests on its bound where the likelihood is nearly as high elsewhere: the others have no ±."""
 
+import math
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +11,7 @@ from scipy.signal import cont2discrete, lfilter
 
 import casadi_engine as ce
 from casadi_engine.errors import EstimationError
-from casadi_engine.estimation.behind_a_bound import NOT_TOLD, told_from_their_bounds
+from casadi_engine.estimation.behind_a_bound import NOT_TOLD, _further, told_from_their_bounds
 from casadi_engine.estimation.fit import Estimate
 
 SEEDS = (4, 6)
@@ -252,6 +253,8 @@ def test_a_place_that_says_nothing_leads_on_away_from_the_bound():
     assert places[0] == pytest.approx(700)
     assert places[-1] > 1000
     assert found.estimates["G"].stderr is None
+    assert _further(10.0, -2.0, SimpleNamespace(min=0.0, max=10.0), by_logarithm=True) == -2.25  # no log of 0
+    assert _further(10.0, 5.0, SimpleNamespace(min=10.0, max=math.inf), by_logarithm=False) == 5.625
     near = Valley(fit, bounds=(10.0, 700.0))  # which is the other bound
     assert told_from_their_bounds(fit, near, near.again) is fit
     assert len(near.fixed) == 1

@@ -236,7 +236,9 @@ def test_an_offset_and_one_wild_reading_are_seen(first):
     assert float(said.split()[2]) == pytest.approx(0.004, abs=1.5e-3)
     assert " m more than the model on average in off: an offset" in said
     wild = output.copy()
-    wild[400] = 9999.0
+    wild[430] = (
+        9999.0  # beside one, chance alarms a drive in 2 or 3 of 20 places, with an input of before or after it
+    )
     assert ce.validate(fit, record("wild", force, wild, 11)).failed == ("wild/x/size",)
     # an offset that the values of a fit are tested on as if they were exact
     exactly = fit.model.parameters()
