@@ -174,11 +174,8 @@ class Additions:
         effect, port = best.newest(self.here).candidate.key
         for key in [k for k in rest if effect in LATE and k[0] in LATE and k[1] == port]:
             self.tell(f"refit of what is late as well: {key[0]} at {key[1]}")
-            one, start = (
-                chosen_of(self.screened, step, self.families[key]),
-                start_without(best.arrived, best.newest(self.here)),
-            )
-            self._try(one, start, near=True)
+            one = chosen_of(self.screened, step, self.families[key])
+            self._try(one, start_without(best.arrived, best.newest(self.here)), near=True)
         cost = costs_of(self.screened, step, self.families)
         self.left_out |= {key: cost[key] for key in rest if key not in left}
         return left

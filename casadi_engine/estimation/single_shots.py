@@ -72,8 +72,8 @@ class SingleShots:
     def _lay(self, search: Search) -> None:
         self._search = search
         self._spectral: SpectralSearch | None = None  # set up once it is wanted
-        # the records in one interval, in Runge-Kutta steps, and those of which they are such
-        self._abreast: tuple[tuple[int, ...], list[RecordTerm]] | None = None
+        # the records in one interval as the fit integrates them, and the same in Runge-Kutta steps
+        self._abreast: tuple[list[RecordTerm], list[RecordTerm]] | None = None
         self.free = self._search.pmap.free
         own = np.concatenate(
             [
@@ -178,8 +178,9 @@ class SingleShots:
     def runs_side_by_side(self, x: Array) -> bool:
         """Whether many points can be simulated at once, by Runge-Kutta steps that are as fine as those of the fit at
         x (nx,)."""
-        steps = tuple(id(record.single()) for record in self._search.records)
-        if self._abreast is None or self._abreast[0] != steps:
+        steps = [record.single() for record in self._search.records]
+        known = [] if self._abreast is None else self._abreast[0]
+        if self._abreast is None or any(a is not b for a, b in zip(known, steps, strict=True)):
             at, made = len(self.free), list[RecordTerm]()
             for record in self._search.records:
                 whole = _in_steps(record, x[: len(self.free)], x[at : at + record.n])

@@ -239,6 +239,7 @@ def _step_symbols(slope: StageSlope, scheme: Tableau) -> tuple[list[ca.SX], ca.S
 
 
 def array_step(slope: StageSlope, scheme: Tableau) -> ArrayFunction:
+    """An explicit step of many columns: (x, known of the distinct nodes, z) to x at its end."""
     key = ("array", scheme.name)
     if key not in slope.made:
         inputs, end = _step_symbols(slope, scheme)
