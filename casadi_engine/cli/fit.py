@@ -68,6 +68,7 @@ def _with_doubts(job: Job, found: Fit) -> Fit:
     from casadi_engine.deadline import Deadline, TimeUp
     from casadi_engine.discrepancy.misread import misread
     from casadi_engine.estimation.faulty_samples import IN_DOUBT
+    from casadi_engine.estimation.interrupts import Interrupts
 
     problem = job.problem
     options = {
@@ -75,9 +76,11 @@ def _with_doubts(job: Job, found: Fit) -> Fit:
         "initial": problem.initial_of(found.data),
         "method": problem.method,
     }
-    doubt = None
-    with suppress(TimeUp, KeyboardInterrupt), Deadline(3.0 + 2.0 * found.timing["solve"]):
+    doubt, own = None, Deadline(3.0 + 2.0 * found.timing["solve"])
+    with Interrupts(own.stop) as asked, suppress(TimeUp, KeyboardInterrupt), own:
         doubt = misread(found, problem.parameters, problem.noise, options, math.inf, every=True)
+    if asked.stopped:
+        return replace(found, status="interrupted")
     if doubt is None:
         return found
     messages = (doubt.words, *found.messages)

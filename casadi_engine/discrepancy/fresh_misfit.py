@@ -180,14 +180,16 @@ def _more_than_noise(repair: Repair) -> float | None:
 
 
 def is_louder(repair: Repair) -> bool:
-    """True where the fresh residual is white as far as it is known, and not too large: a louder noise explains it, if
-    none was stated."""
+    """True where the fresh residual is white as far as it is known, and not too large, and the parameters are those of
+    the fit: a louder noise explains it, if none was stated."""
     gaps = repair.gaps
     if gaps is None or gaps.validation_after is None:
         return False
     if repair.noise is not None and not any(estimated for _, estimated in repair.noise.sigma.values()):
         return False
     own, after = gaps.estimation_after.gap.chi2_per_sample, gaps.validation_after
+    if after.parameters_p is not None and after.parameters_p < SURE:  # no noise moves them so far
+        return False
     known = any(p is not None for one in after.whiteness_p.values() for p in one.values())
     return known and after.gap.chi2_per_sample <= LOUDEST * own and _more_than_noise(repair) is None
 

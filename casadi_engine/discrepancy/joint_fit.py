@@ -68,10 +68,11 @@ def with_joint_fit(repair: Repair, refitter: Refitter) -> Repair:
         before = (after.gap.rmse[output] / levels[output]) ** 2
         left[output] = min(1.0, float(own.mean()) / before) if before > 0 else 1.0
     searched = [record.name for record in repair.data]
-    unit = max(gaps.estimation_after.gap.chi2_per_sample, 1e-300)
     risen = _total(_squares(both, searched, levels)) - _total(_squares(repair.fit, searched, levels))
-    chance = float(chi2_sf(max(risen, 0.0) / unit, max(len(both.free), 1)))
     every = np.concatenate([*found.values()])
+    # a louder noise there moves the parameters further
+    unit = max(gaps.estimation_after.gap.chi2_per_sample, float(every.mean()), 1e-300)
+    chance = float(chi2_sf(max(risen, 0.0) / unit, max(len(both.free), 1)))
     side = replace(after, within_errors=float(every.mean()), parameters_p=chance, left=left, jointly=True)
     return replace(repair, gaps=replace(gaps, validation_after=side))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from weakref import WeakKeyDictionary
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.late_samples import completed, with_all_samples
-from casadi_engine.errors import EstimationError
+from casadi_engine.errors import EstimationError, SimulationError
 from casadi_engine.estimation.constraints import ParameterConstraints
 from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.fit import Fit
@@ -27,11 +28,13 @@ from casadi_engine.simulation.candidate_sensitivities import (
     initial_direction,
     parameter_direction,
 )
+from casadi_engine.simulation.error_estimate import refined_to
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Observation, cut
 from casadi_engine.simulation.null_path import NullPath, null_path
 from casadi_engine.simulation.propagator import make_propagator, switches_in_time
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -336,9 +339,16 @@ def _propagated_slopes(
     model, grid = path.model, path.grid
     z, plan = ca.SX.sym("z", moved.shape[1]), cut(grid, None)
     physical = ca.SX(ca.DM(path.p)) + ca.SX(ca.DM(moved)) @ z
-    found = make_propagator(model, grid, plan, z, physical, scale=scale).propagate(
-        np.zeros(moved.shape[1]), start[None], 1
-    )
+    propagator = make_propagator(model, grid, plan, z, physical, scale=scale)
+    here, nodes = np.zeros(moved.shape[1]), start[None]
+    if isinstance(
+        propagator, RungeKuttaPropagator
+    ):  # half of the steps of which the path does not feel the error
+        names = tuple(out.name for out in model.outputs)
+        with suppress(SimulationError, FloatingPointError):
+            propagator, _ = refined_to(propagator, here, nodes, outputs=names, samples=grid.samples)
+            propagator = propagator.finer(2)  # type: ignore[union-attr]
+    found = propagator.propagate(here, nodes, 1)
     observation = Observation(grid, plan, tuple(out.name for out in model.outputs))
     by_start = observation.observe_starts(found.ys).reshape(-1, len(start))
     by_z = observation.observe(found.y[1:]).reshape(moved.shape[1], len(by_start))

@@ -146,7 +146,8 @@ def _prior(fit: Fit, null: NullModel) -> tuple[Array, Array]:
 
 def pooled(splits: Sequence[PriorSplit], memory: float) -> tuple[float | None, float | None]:
     """Of several records: chi-squared per sample within the errors of the parameters, and the chance that these have to
-    move so far in any of them (Bonferroni); None without fresh data, or without a direction that both sides tell.
+    move so far in any of them (Bonferroni), with noise as loud as it is there; None without fresh data, or without a
+    direction that both sides tell.
 
     memory : how many samples of the noise, where it is coloured, count for one
     """
@@ -154,5 +155,12 @@ def pooled(splits: Sequence[PriorSplit], memory: float) -> tuple[float | None, f
     if not count:
         return None, None
     within = sum(float(one.within @ one.within) for one in splits) / count
-    chances = [float(chi2_sf(one.value / memory, one.dof)) for one in splits if one.dof > 0]
+    chances = [float(chi2_sf(one.value / _unit(one) / memory, one.dof)) for one in splits if one.dof > 0]
     return within, min(1.0, min(chances) * len(chances)) if chances else None
+
+
+def _unit(split: PriorSplit) -> float:
+    """The variance of how far parameters move, over that by the noise of the data searched: the fresh data's may be
+    louder, which what no parameter reaches tells."""
+    loud = float(split.noise @ split.noise) / max(len(split.noise) - split.rank, 1)
+    return split.share + (1.0 - split.share) * max(loud, 1.0)

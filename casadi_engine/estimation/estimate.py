@@ -43,6 +43,8 @@ from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
 
+_ENDED = "interrupted by the user before all that follows a search was done: its checks are not complete"
+
 
 @one_blas_thread
 def estimate(
@@ -151,8 +153,12 @@ def estimate(
     }
     refuse_twins(records, [out.name for out in model.outputs])
     arguments["model"] = begun_late(arguments)
+    within = is_set()  # then who set that deadline takes Ctrl-C too
+    own = Deadline(best=best_wanted())
+    asked = Interrupts(own.stop)
     run = partial(
         _searched,
+        interrupts=asked,
         seed=seed,
         jobs=jobs,
         enough=nothing_left if chosen("enough", enough, ("all", "white")) == "white" else None,
@@ -166,19 +172,33 @@ def estimate(
             "neighbours": neighbours,
         },
     )
-    again = lambda changed: run(arguments | changed, 1, 0, begun)  # noqa: E731
     try:
-        fit = from_wide_corners(
-            lambda changed: run(arguments | changed, starts, neighbours, begun), again, arguments
-        )
+        with own, nullcontext() if within else asked:
+            fit = _followed_up(
+                run, arguments, (starts, neighbours, begun), alone=within or errors == "quadratic"
+            )
     except TimeUp:
         if late():
             raise
         raise KeyboardInterrupt from None  # there is no point yet
+    if asked.stopped and fit.status != "interrupted":
+        return replace(fit, status="interrupted", messages=(_ENDED, *fit.messages))
+    return fit
+
+
+def _followed_up(
+    run: Callable[..., Fit], arguments: dict[str, Any], how: tuple[int, int, float], *, alone: bool
+) -> Fit:
+    """The fit, and those that follow from it: with sharper corners, with later channels, from other places.
+
+    how : starts, neighbours and when all began; alone : another verb asks for what else it needs
+    """
+    again = lambda changed: run(arguments | changed, 1, 0, how[-1])  # noqa: E731
+    fit = from_wide_corners(lambda changed: run(arguments | changed, *how), again, arguments)
     fit = in_time(lambda: follow_delays(fit, arguments["parameters"], again), lambda: fit)
     arguments["model"] = fit.model
     fit = _with_sharp_corners(fit, arguments, again)
-    if is_set() or errors == "quadratic":  # another verb asks for what it needs
+    if alone:
         return fit
     fit = in_time(lambda: told_from_their_bounds(fit, arguments["parameters"], again), lambda: fit)
     return replace(fit, messages=(*faults(fit), *fit.messages))
@@ -207,13 +227,12 @@ def _searched(
     progress: Any,
     check: float | None,
     shown: Mapping[str, Any],
+    interrupts: Interrupts,
 ) -> Fit:
     """One estimate from its checked arguments; shown : options as the user gave them."""
     entered = time.perf_counter()
-    within = is_set()  # then who set that deadline takes Ctrl-C too
     own = Deadline(best=best_wanted())
-    interrupts = Interrupts(own.stop)
-    with own, nullcontext() if within else interrupts:
+    with own:
         report = _reporter(progress, starts + 2 * neighbours, arguments["max_iterations"])
         search = Search(**arguments, progress=report, interrupts=interrupts)
         setup = time.perf_counter() - entered

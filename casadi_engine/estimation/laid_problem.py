@@ -178,6 +178,11 @@ class LaidProblem:
         fixed += int((self.constraints.lower == self.constraints.upper).sum())
         return self.problem.nv + sum(record.n for record in self.records) - fixed
 
+    @property
+    def lost(self) -> float:
+        """Share of the samples that free parameters and initial states take."""
+        return self.free_count / max(sum(record.count for record in self.records), 1)
+
     def _objective(self, x: Array) -> float:
         try:
             return self.problem.at(x).objective

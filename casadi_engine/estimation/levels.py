@@ -83,10 +83,9 @@ class NoiseLevels:
             r = np.concatenate(parts)
             if not wanted or not len(r):
                 continue
-            if loss.robust:
-                found[k] *= _MAD * float(np.median(np.abs(r - np.median(r))))
-            else:
-                found[k] *= float(np.sqrt(np.mean(r**2) / max(share, 1e-9)))
+            middle = float(np.median(np.abs(r - np.median(r))))
+            size = _MAD * middle if loss.robust else float(np.sqrt(np.mean(r**2)))
+            found[k] *= size / np.sqrt(max(share, 1e-9))
             found[k] = max(found[k], _ROUNDING * self._size[k], 1e-300)
         return found
 

@@ -195,7 +195,7 @@ def with_own_noise(
     varied = [one for one in varied if not grows(search.records[one.at], points[one.at])]
     if not (noises or varied):
         return errors, ratio, math.inf
-    slopes = [_slopes(search.records[one.at], points[one.at], one, search.loss) for one in noises]
+    slopes = [_slopes(search, search.records[one.at], points[one.at], one) for one in noises]
     places = [_entries(search, one.at) for one in noises]
     fixed, matrix = np.zeros_like(white), errors.told
     for _ in range(2 if varied else 0):  # what the estimates are off by, moves what rounding does
@@ -234,7 +234,7 @@ def _of_varied(search: Search, point: RecordPoint, one: Varied, errors: Array) -
         residual, valid = _along(record, point, name, search.loss)
         index = record.grid.measured[name].index
         own = OwnNoise(one.at, name, residual, valid, None, None)
-        slopes.append(_slopes(record, point, own, search.loss)[index])
+        slopes.append(_slopes(search, record, point, own)[index])
         residuals.append(residual[index])
     white = sum((own.T @ own for own in slopes), np.zeros_like(errors))
     if one.step:
@@ -257,7 +257,7 @@ def _entries(search: Search, at: int) -> NDArray[np.intp]:
     return np.concatenate([record.active, np.arange(begin, begin + record.n)])
 
 
-def _slopes(record: RecordTerm, point: RecordPoint, one: OwnNoise, loss: Loss) -> Array:
+def _slopes(search: Search, record: RecordTerm, point: RecordPoint, one: OwnNoise) -> Array:
     """(n, nz + states) weighted slopes of an output along its channel, 0 where its samples do not count; of a robust
     loss, of what its clipped residuals see."""
     nz, chain, name = len(record.active), chained(record, point), one.output
@@ -270,7 +270,7 @@ def _slopes(record: RecordTerm, point: RecordPoint, one: OwnNoise, loss: Loss) -
         found[index, column] = np.einsum("kn,kn->k", js, chain[interval, :, column]) * weight
     if nz:
         found[index, :nz] += point.jz[:, row, interval].T
-    return found * math.sqrt(efficiency(loss, point.r[record.observation.valid]))
+    return found * math.sqrt(efficiency(search.loss, point.r[record.observation.valid], search.lost))
 
 
 def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> tuple[Array, float]:

@@ -235,13 +235,15 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
         if side is not False:
             x[k] = search.lower[k] if side == "min" else search.upper[k]
     closed = fixed | np.array([side is not False for side in bound], dtype=bool)
-    rows, acting = _active_rows(search, best, x[: search.problem.nv], open_)
+    rows, spans, acting = _active_rows(search, best, x[: search.problem.nv], open_)
     optimal = best.solution.status == "converged"
     found = invert(information, closed, rows, entries)
     step = -found.matrix @ gradient
     decrement = float(-gradient @ step)
     held = np.flatnonzero(closed[: search.problem.nv] & ~fixed[: search.problem.nv])
-    inside, blind = _inside_bounds(search, information, found, held, force)
+    spans = np.concatenate([search.upper[held] - search.lower[held], spans])
+    active = _Active(closed, held, rows, spans)
+    inside, blind = _inside_limits(information, found, active, gradient)
     if inside is not None:
         rest = np.where(closed[:, None], 0.0, inside)  # what is at a bound has no symmetric error
         found = replace(found, matrix=found.matrix + rest @ rest.T)
@@ -272,29 +274,49 @@ def _turned(told: Uncertainty, turn: Array) -> Uncertainty:
     )
 
 
-def _inside_bounds(
-    search: Search, information: Array, found: Covariance, held: NDArray[np.intp], force: Array
-) -> tuple[Array | None, list[Array]]:
-    """How all move (N, k) with estimates that are at a bound, in the standard errors that these have inside it, None
-    where they add nothing; and directions (N,) of which they leave nothing known.
+@dataclass(frozen=True)
+class _Active:
+    """What holds an estimate: closed (N,) entries that are fixed or at a bound, and ``held`` of these at one; rows
+    (c, N) of constraints that act, the equalities first; spans (k,) from limit to limit, of ``held`` and of the
+    inequalities."""
 
-    The data say that such a parameter is at its bound or inside by as much as its own error, which may be all of its
-    range: the others move with it. Nothing is added where the data pull it beyond the bound by more than chance does.
+    closed: NDArray[np.bool_]
+    held: NDArray[np.intp]
+    rows: Array
+    spans: Array
+
+    def moves(self) -> Array:
+        """(N, k) moves of which each leaves one of the limits by a unit, and none of the others."""
+        equal = len(self.rows) - (len(self.spans) - len(self.held))
+        others = np.setdiff1d(np.flatnonzero(self.closed), self.held)
+        identity = np.eye(len(self.closed))
+        stacked = np.vstack([identity[self.held], self.rows[equal:], self.rows[:equal], identity[others]])
+        return np.asarray(np.linalg.pinv(stacked)[:, : len(self.spans)])
+
+
+def _inside_limits(
+    information: Array, found: Covariance, active: _Active, gradient: Array
+) -> tuple[Array | None, list[Array]]:
+    """How all move (N, k) with what is at a bound or at the limit of an inequality, in the standard errors that these
+    have inside it, None where they add nothing; and directions (N,) of which they leave nothing known.
+
+    The data say that such a quantity is at its limit or inside by as much as its own error, which may be all of its
+    range: the others move with it. Nothing is added where the data pull it beyond the limit by more than chance does.
+    gradient : (N,) of half chi-squared
     """
-    if not len(held) or not np.isfinite(information).all():
+    if not len(active.spans) or not np.isfinite(information).all():
         return None, []
-    moved = -found.matrix @ information[:, held]
-    moved[held] = np.eye(len(held))
-    own = information[np.ix_(held, held)] + information[held] @ (moved - np.eye(len(information))[:, held])
-    reach = _TWO_SIDED / (search.upper[held] - search.lower[held])
+    alone = active.moves()
+    moved = alone - found.matrix @ (information @ alone)
+    own = moved.T @ information @ moved
+    reach = _TWO_SIDED / active.spans
     values, vectors = np.linalg.eigh((own + own.T) / 2 + np.diag(reach**2))
-    lost = values <= _HELD * max(float(np.diag(information)[held].max()), 1e-300)
+    lost = values <= _HELD * max(float(np.einsum("ak,ab,bk->k", alone, information, alone).max()), 1e-300)
     known = vectors[:, ~lost] / np.sqrt(values[~lost])
-    if float(((known.T @ force[held]) ** 2).sum()) > _CHANCE:
+    if float(((known.T @ (moved.T @ gradient)) ** 2).sum()) > _CHANCE:
         return None, []
-    inside = moved @ known
-    moved[held] = 0.0
-    return inside, list((moved @ vectors[:, lost]).T)
+    rest = np.where(active.closed[:, None], 0.0, moved)
+    return moved @ known, list((rest @ vectors[:, lost]).T)
 
 
 def _released(
@@ -330,7 +352,7 @@ def _information(search: Search, best: Attempt) -> tuple[Array, Array, Array | N
         search.records, point.records, problem.layouts, search._initial, strict=True
     ):
         # Huber's information is that of least squares times the efficiency of the clipped residuals.
-        share = efficiency(search.loss, found.r[record.observation.valid])
+        share = efficiency(search.loss, found.r[record.observation.valid], search.lost)
         where = np.concatenate([record.active, np.arange(at, at + record.n)])
         kept = np.isfinite(np.array(limits[:2])).any(axis=0)
         apart = eliminated(record, found, np.asarray(kept)) if grows(record, found) else None
@@ -345,8 +367,9 @@ def _information(search: Search, best: Attempt) -> tuple[Array, Array, Array | N
     return information, turn.T @ gradient if turned else gradient, turn if turned else None
 
 
-def efficiency(loss: Loss, r: Array) -> float:
-    """(mean rho'')^2 / mean rho'^2: 1 for least squares with unit residuals (Huber 1981, section 7.6).
+def efficiency(loss: Loss, r: Array, lost: float = 0.0) -> float:
+    """(mean rho'')^2 / mean rho'^2: 1 for least squares with unit residuals; lost : share of the samples that free
+    parameters and initial states take, for which few samples have the corrections of Huber 1981, section 7.6.
 
     No more than 1: residuals that are smaller than the noise is known or can be make no estimate better than the noise.
     """
@@ -355,8 +378,10 @@ def efficiency(loss: Loss, r: Array) -> float:
     curvature, slope = loss.curvature(r), loss.slope(r)
     if curvature is None:
         return 1.0
-    steep = float(np.mean(curvature)) ** 2
-    return steep / max(float(np.mean(slope**2)), steep, 1e-300)
+    inner = float(np.mean(curvature))
+    size = float(np.mean(slope**2)) / max(1.0 - lost, 1e-9)
+    few = 1.0 + lost * (1.0 - inner) / max(inner, 1e-9)
+    return inner**2 / max(size, inner**2, 1e-300) / few**2
 
 
 def _acts(near: float, force: float, variance: float) -> bool:
@@ -387,25 +412,31 @@ def _at_bounds(search: Search, best: Attempt, open_: Covariance, force: Array, a
     return found
 
 
-def _active_rows(search: Search, best: Attempt, v: Array, open_: Covariance) -> tuple[Array, tuple[str, ...]]:
-    """Gradients (c, N) of the constraints that act, and those of the inequalities in words."""
+def _active_rows(
+    search: Search, best: Attempt, v: Array, open_: Covariance
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Gradients (c, N) of the constraints that act, the equalities first; and of the inequalities among them how far it
+    is to their other limit, and which they are in words."""
     user, nv = search.constraints, search.problem.nv
     if not user.count:
-        return np.zeros((0, len(open_.matrix))), ()
+        return np.zeros((0, len(open_.matrix))), np.zeros(0), ()
     value, jacobian = user.evaluate(v)
     variance = np.einsum("ca,ab,cb->c", jacobian, open_.matrix[:nv, :nv], jacobian)
     force = best.solution.lam_g[: user.count] * search.problem.samples
-    active = user.lower == user.upper
-    words = []
+    equal = user.lower == user.upper
+    active, words = np.zeros_like(equal), []
     for side, limit, near, push in (
         ("lower", user.lower, value - user.lower, -force),
         ("upper", user.upper, user.upper - value, force),
     ):
-        acts = np.array([_acts(*numbers) for numbers in zip(near, push, variance, strict=True)])
-        for k in np.flatnonzero(acts & (user.lower < user.upper)):
-            words.append(f"{user.labels[k]} at its {side} limit {limit[k] * user.scale[k]:.6g}")
+        acts = ~equal & np.array([_acts(*numbers) for numbers in zip(near, push, variance, strict=True)])
+        words += [
+            f"{user.labels[k]} at its {side} limit {limit[k] * user.scale[k]:.6g}"
+            for k in np.flatnonzero(acts)
+        ]
         active |= acts
-    return _rows(search, v, active, len(open_.matrix)), tuple(words)
+    rows = [_rows(search, v, which, len(open_.matrix)) for which in (equal, active)]
+    return np.concatenate(rows), (user.upper - user.lower)[active], tuple(words)
 
 
 def _rows(search: Search, v: Array, which: NDArray[np.bool_], size: int) -> Array:

@@ -6,6 +6,7 @@ from scipy import stats
 
 import casadi_engine as ce
 from casadi_engine.estimation.loss import Loss, read_loss
+from casadi_engine.estimation.standard_errors import efficiency
 
 TRUTH = {"J_eng": 0.4, "C_eng": 0.5}
 
@@ -62,7 +63,18 @@ def test_a_knee_beyond_all_residuals_is_least_squares(run_up):
     np.testing.assert_allclose(fits[1].z, fits[0].z, rtol=1e-8)
     assert fits[1].cost == pytest.approx(fits[0].cost, rel=1e-9)
     assert fits[1].stderr["J_eng"] == pytest.approx(
-        fits[0].stderr["J_eng"] * np.sqrt(fits[0].cost / fits[0].n), rel=1e-6
+        fits[0].stderr["J_eng"] * np.sqrt(fits[0].cost / fits[0].dof), rel=1e-6
+    )
+
+
+def test_few_samples_have_hubers_corrections():
+    """Huber 1981, section 7.6: the squares over the degrees of freedom, and K = 1 + p/n (1 - m)/m."""
+    r, loss = np.array([0.5, -0.5, 1.0, -1.0, 2.0, -3.0, 0.2, -0.2, 0.1, 0.4]), Loss(1.5)
+    slope, inner = np.clip(r, -1.5, 1.5), 0.8
+    size, factor = (slope @ slope) / 7 / inner**2, 1 + 0.3 * 0.2 / inner
+    assert efficiency(loss, r, 0.3) == pytest.approx(min(1.0, 1 / size) / factor**2)
+    assert efficiency(loss, 2 * r, 0.3) == pytest.approx(
+        0.7**2 / (np.sum(np.clip(2 * r, -1.5, 1.5) ** 2) / 7) / (1 + 0.3 * 0.3 / 0.7) ** 2
     )
 
 

@@ -113,8 +113,7 @@ def test_the_first_steps_suit_the_fastest_mode_of_the_values_given(made):
     for physical, at in ((0.05 * z, 1.0), (0.05 * ca.exp(z), 0.0), (ca.SX(0.05), 3.0)):
         propagator = RungeKuttaPropagator(model, grid, cut(grid, None), z, physical, scale=np.ones(1))
         propagator.propagate(np.array([at]), np.ones((1, 1)), 0)
-        # |lambda| h = 2 in steps of 1/4
-        assert propagator.substeps == 8
+        assert propagator.substeps == 2  # |lambda| h = 2 in steps of 1
     propagator = RungeKuttaPropagator(model, grid, cut(grid, None), z, 1e-5 * z, scale=np.ones(1))
     path = propagator.propagate(np.ones(1), np.ones((1, 1)), 1)
     assert propagator.fineness.scheme is RADAU
