@@ -13,6 +13,7 @@ from casadi_engine.estimation.doubt import CALL, Doubt
 from casadi_engine.estimation.exchanged import twins
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.foreseen_ends import FAR, Rises
+from casadi_engine.estimation.limited_ends import Limits
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
 
@@ -126,7 +127,8 @@ def bounds(search: Search, errors: Uncertainty, rises: Mapping[str, Rises]) -> l
     """Parameters whose interval of two standard errors reaches a bound, is too wide to be symmetric as far as no rises
     are known, or is wider to the side to which they go with what is at a bound and may be inside."""
     found, matrix, low, high = [], errors.covariance.matrix, search.lower, search.upper
-    kept, resting = errors.kept, [n for n, side in zip(search.pmap.free, errors.bound, strict=False) if side]
+    kept, limits = errors.kept, Limits.of(search, errors)
+    resting = [f"{n}, at a bound" for n, side in zip(search.pmap.free, errors.bound, strict=False) if side]
     for k, name in enumerate(search.pmap.free):
         value, size = errors.v[k], float(np.sqrt(matrix[k, k]))
         if errors.bound[k] is not False or not size:
@@ -137,7 +139,11 @@ def bounds(search: Search, errors: Uncertainty, rises: Mapping[str, Rises]) -> l
         elif search.coordinates.log[k] and size > _WIDE and name not in rises:
             found.append((k, f"{name} is known to {100 * size:.2g} %"))
         elif size > (1 + _WIDE) * np.sqrt(max(kept[k, k], 0.0)):
-            found.append((k, f"{name} goes with {' and '.join(resting)}, at a bound"))
+            found.append((k, f"{name} goes with {' and '.join([*resting, *errors.acting])}"))
+        else:
+            end, words = min((limits.end(k, sign, FAR) for sign in (-1.0, 1.0)), key=lambda one: one[0])
+            if end < (1 - UNEVEN) * FAR:
+                found.append((k, f"{name} goes with {words} within {FAR:g} standard errors"))
     return [Doubt("bound", text, np.eye(len(matrix))[k]) for k, text in found]
 
 

@@ -13,16 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.taken import are_few, grams_of
 
 if TYPE_CHECKING:
     from casadi_engine.estimation.standard_errors import Uncertainty
 
 Array = NDArray[np.float64]
 
-# Samples of an output from which on its level is known well enough: Student's t is within 3 % of the normal law.
-_MANY = 60
 # A level has at least so many degrees of freedom.
 _LEAST = 1.0
 
@@ -32,12 +30,10 @@ def freedom_of(search: Search, errors: Uncertainty) -> float:
     what is estimated where there is one level, or enough samples for each."""
     pooled = float(search.problem.samples - errors.covariance.rank)
     estimated, counts = np.array(search.levels.estimated), search.levels.counts
-    own = counts[estimated & (counts > 0)]
-    few = len(own) > 1 and own.min() < _MANY and not search.loss.robust and pooled > 0
-    if not few or not errors.optimal or search.predictor.kind != "none":
+    if not are_few(search) or pooled <= 0 or not errors.optimal:
         return pooled
     matrix = errors.covariance.matrix
-    grams = _grams(search, errors)
+    grams = grams_of(search, errors.x)
     taken = np.array([float(np.sum(matrix * gram)) for gram in grams])
     shares = np.array([np.diag(matrix @ gram @ matrix) for gram in grams])[:, : search.problem.nv]
     freedom = np.maximum(counts - taken, _LEAST)
@@ -45,18 +41,3 @@ def freedom_of(search: Search, errors: Uncertainty) -> float:
     unsure = (np.square(shares)[estimated] / freedom[estimated, None]).sum(axis=0)
     told = (whole > 0) & np.isfinite(unsure) & (unsure > 0)
     return min(pooled, float((whole[told] ** 2 / unsure[told]).min(initial=pooled)))
-
-
-def _grams(search: Search, errors: Uncertainty) -> list[Array]:
-    """What each output says of [v; first states of each record], (N, N)."""
-    size, at = len(errors.covariance.matrix), search.problem.nv
-    found = [np.zeros((size, size)) for _ in search.levels.outputs]
-    for record, point in zip(search.records, search.problem.at(errors.x).records, strict=True):
-        rows = chained_slopes(record, point).reshape(-1, record.weight.size)
-        place = np.concatenate([record.active, np.arange(at, at + record.n)])
-        valid = record.observation.valid.ravel()
-        for output, where in record.observation.where.items():
-            own = rows[:, where[valid[where]]]
-            found[search.levels.outputs.index(output)][np.ix_(place, place)] += own @ own.T
-        at += record.n
-    return found

@@ -19,6 +19,7 @@ from casadi_engine.estimation.predictor import Predictor
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.spectral_start import asked_in_full, complete
+from casadi_engine.estimation.taken import are_few, taken
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, compile
@@ -169,7 +170,8 @@ class LaidProblem:
 
     def levels_at(self, x: Array) -> Array:
         """Noise levels (ny,) from the residuals at x; known ones as they are."""
-        return self.levels.at(self.problem.at(x).records, self.sigma, self.loss, self.free_count)
+        own = taken(self, x) if are_few(self) else None
+        return self.levels.at(self.problem.at(x).records, self.sigma, self.loss, self.free_count, own)
 
     @property
     def free_count(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,10 @@ _MAD = 1.4826
 _WEIGHT, _ROUNDING = 1e-5, 1e-12
 # Residuals that say nothing: this share of a known level, or of the largest output (the tolerance of continuity).
 _SMALL, _TOLERANCE = 1e-3, 1e-8
+# Iterations of a robust level at most, and the change at which it has settled.
+_TURNS, _SETTLED = 50, 1e-4
+# Degrees of freedom that a level has at least.
+_LEAST = 1.0
 
 
 class NoiseLevels:
@@ -71,10 +76,20 @@ class NoiseLevels:
         least = np.maximum(_WEIGHT * self._size, 1e-300)
         return np.where(self.estimated, np.maximum(levels, least), levels)
 
-    def at(self, points: list[RecordPoint], sigma: Array, loss: Loss, lost: int) -> Array:
-        """Levels from the residuals of points that were weighted by ``sigma``; ``lost`` degrees of freedom."""
+    def at(
+        self,
+        points: list[RecordPoint],
+        sigma: Array,
+        loss: Loss,
+        lost: int,
+        taken: Array | None = None,
+    ) -> Array:
+        """Levels from the residuals of points that were weighted by ``sigma``.
+
+        lost : degrees of freedom of all samples together; taken : (ny,) of each output, where they are known
+        """
         found = sigma.copy()
-        share = 1.0 - lost / sum(record.count for record in self.records)
+        whole = 1.0 - lost / sum(record.count for record in self.records)
         for k, wanted in enumerate(self.estimated):
             parts = [
                 point.r[record.observation.valid & (record.observation.column == k)]
@@ -83,9 +98,11 @@ class NoiseLevels:
             r = np.concatenate(parts)
             if not wanted or not len(r):
                 continue
-            middle = float(np.median(np.abs(r - np.median(r))))
-            size = _MAD * middle if loss.robust else float(np.sqrt(np.mean(r**2)))
-            found[k] *= size / np.sqrt(max(share, 1e-9))
+            share = whole if taken is None else max(len(r) - taken[k], _LEAST) / len(r)
+            size = (
+                _robust(r, loss, share) if loss.robust else float(np.sqrt(np.mean(r**2) / max(share, 1e-9)))
+            )
+            found[k] *= size
             found[k] = max(found[k], _ROUNDING * self._size[k], 1e-300)
         return found
 
@@ -111,6 +128,30 @@ class NoiseLevels:
                 total += float((((sample.values - sample.values.mean()) * weight) ** 2).sum())
                 count += int((weight > 0).sum())
         return max(total / max(count, 1), 1e-300)
+
+
+def _robust(r: Array, loss: Loss, share: float) -> float:
+    """The size of residuals of which some are outliers, share of whose number is left to tell it: the one at which the
+    mean square of the clipped residuals is that of a normal variable (proposal 2 of Huber 1964).
+
+    The median absolute deviation, from which it begins, is known by a third of the samples alone: of ten residuals half
+    may be next to nothing.
+    """
+    size = max(_MAD * float(np.median(np.abs(r - np.median(r)))), 1e-300)
+    wanted = max(share, 1e-9) * _clipped(loss.knee)
+    for _ in range(_TURNS):
+        new = size * float(np.sqrt(np.mean(loss.slope(r / size) ** 2) / wanted))
+        size, before = max(new, 1e-300), size
+        if abs(size - before) < _SETTLED * size:
+            break
+    return size
+
+
+def _clipped(knee: float) -> float:
+    """The mean square of a standard normal variable that is clipped at a knee."""
+    tail = 0.5 * math.erfc(knee / math.sqrt(2))
+    density = math.exp(-(knee**2) / 2) / math.sqrt(2 * math.pi)
+    return 1 - 2 * tail - 2 * knee * density + 2 * knee**2 * tail
 
 
 def check_samples(noise: Noise, records: list[RecordTerm], unknowns: int, pulls: int) -> None:

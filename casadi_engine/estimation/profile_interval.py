@@ -15,6 +15,7 @@ from casadi_engine.deadline import Deadline, TimeUp, ask
 from casadi_engine.distributions import chi2_isf, f_isf
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.few_samples import freedom_of
+from casadi_engine.estimation.limited_ends import Limits
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
 from casadi_engine.estimation.starts import chained_nodes
@@ -25,6 +26,8 @@ LEVEL = 0.95
 # Refits on one side; the share of the root of the threshold within which an end counts as found; and how much further
 # than the quadratic has it an end is looked for.
 _MOST, _CLOSE, _FAR = 6, 0.03, 4.0
+# Share of half an interval between two places around its end that tell it.
+_BRACKET = 0.2
 # Errors of a logarithm from which no ends are looked for: a factor of a million.
 _ENDLESS = 14.0
 # Evaluations of the problem that a refit takes at least.
@@ -60,7 +63,7 @@ class Profiles:
         begun = time.process_time()
         self.base = self._cost(best.solution.x)
         self._least = _EVALUATIONS * (time.process_time() - begun)
-        self.root = root_of(search, errors)
+        self.root, self.limits = root_of(search, errors), Limits.of(search, errors)
         self.stretch = stretch
         self.seconds, self._spent, self._done = seconds, 0.0, 0
         self._left, self._ended = 0, 0  # sides of a parameter that are to be found, and of all that were
@@ -100,15 +103,19 @@ class Profiles:
         size, root = float(np.sqrt(errors.covariance.matrix[k, k])), self.root * float(self.stretch[k])
         limit = float(search.lower[k] if sign < 0 else search.upper[k])
         x, here, height, inner = self.best.solution.x, float(errors.v[k]), 0.0, float(errors.v[k])
-        there = here + sign * root * size
+        there = here + sign * size * self.limits.end(k, sign, root)[0]
         if search.coordinates.log[k] and root * size > _ENDLESS:
             return None  # the data do not determine it
         outer: tuple[float, float] | None = None
         for _ in range(_MOST):
             there = min(there, limit) if sign > 0 else max(there, limit)
             refit = self._refit(k, there, x)
-            if refit is None or self._late():
+            if self._late() or (refit is None and not search.constraints.count):
                 return None
+            if refit is None:  # no values of the others may meet the constraints there
+                outer = (there, np.inf)
+                there = 0.5 * (inner + there)
+                continue
             risen = float(np.sqrt(refit[1]))
             if abs(risen - root) < _CLOSE * root:
                 return there + (root - risen) * (there - inner) / max(risen - height, 1e-9)
@@ -127,7 +134,13 @@ class Profiles:
             else:
                 outer = (there, risen)
                 there = inner + (there - inner) * (root - height) / (risen - height)
-        return None
+        # what bends at a limit of another is not met by a few secants, but it is between two places that are close
+        near = (
+            outer is not None
+            and np.isfinite(outer[1])
+            and abs(outer[0] - inner) < _BRACKET * abs(there - here)
+        )
+        return there if near else None
 
     def _refit(self, k: int, value: float, x: Array) -> tuple[Array, float] | None:
         """Variables and rise of chi-squared with entry k held, from the variables of a point near by."""

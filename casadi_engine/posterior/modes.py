@@ -148,14 +148,20 @@ class _Searches:
         """A search; whether it ends in a new optimum that is near the best."""
         self.tried += 1
         low, high = self._low, self._high
-        end = minimise(self._target.squares, np.clip(start, low, high), low, high, fall=_FALL, steps=_STEPS)
+        end = minimise(self._target.steep, np.clip(start, low, high), low, high, fall=_FALL, steps=_STEPS)
         if end is None or not end.converged or not _definite(end.squares.matrix):
             return False
+        x, more = self._target.met(end.x)
+        if more.any():  # at the limits of constraints
+            own = self._target.squares(x)
+            if own is None or not _definite(own.matrix):
+                return False
+            end = replace(end, x=x, squares=own)
         same = _place(self.found, end.x)
         if same is not None:
             self.ended[same] += 1
             return False
-        self.found.append((end.x, _held(end, low, high), end.squares.cost))
+        self.found.append((end.x, _held(end, low, high) + more, end.squares.cost))
         self.ended.append(1)
         return self.near(end.squares.cost)
 

@@ -64,6 +64,10 @@ class Likelihood(Protocol):
         ...
 
 
+# Half chi-squared by which a constraint's value beyond its limit, in its size at the start, counts times its square.
+_STEEP = 1e9
+
+
 class Target:
     """Log density over u (d,): the coordinates v of the parameters, then logarithms of noise levels over the fit's.
 
@@ -152,6 +156,35 @@ class Target:
             return None
         cost, gradient, _, matrix = self.search.problem.priors.evaluate(v)
         return Squares(found.cost + cost, found.gradient + gradient, found.matrix + matrix)
+
+    def steep(self, v: Array) -> Squares | None:
+        """The same, but that it rises steeply where constraints are not met: a search of it ends at their limits."""
+        found = self.squares(v)
+        beyond, slopes = self._beyond(v)
+        if found is None or not len(beyond):
+            return found
+        cost = found.cost + 0.5 * _STEEP * float(beyond @ beyond)
+        gradient = found.gradient + _STEEP * beyond @ slopes
+        return Squares(cost, gradient, found.matrix + _STEEP * slopes.T @ slopes)
+
+    def met(self, v: Array) -> tuple[Array, Array]:
+        """Where such a search ended, moved to the limits that it went over, and (nv, nv) what to add to the information
+        there: towards a limit the density rises as an exponential, whose slope is as wide as a normal density of its
+        square."""
+        beyond, slopes = self._beyond(v)
+        if not len(beyond):
+            return v, np.zeros((len(v), len(v)))
+        pressed = (_STEEP * np.abs(beyond))[:, None] * slopes
+        return v - np.linalg.pinv(slopes) @ beyond, pressed.T @ pressed
+
+    def _beyond(self, v: Array) -> tuple[Array, Array]:
+        """By how much constraints are not met at v, and the slopes (c, nv) of these."""
+        user = self.search.constraints
+        if not user.count:
+            return np.zeros(0), np.zeros((0, len(v)))
+        value, slopes = user.evaluate(v)
+        beyond = np.maximum(value - user.upper, 0.0) - np.maximum(user.lower - value, 0.0)
+        return beyond[beyond != 0], slopes[beyond != 0]
 
     def integrate_finely(self, v: Array) -> bool:
         """Integrate as finely as points v (k, nv) ask for; True if that is finer than before."""

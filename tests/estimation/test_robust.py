@@ -74,7 +74,7 @@ def test_few_samples_have_hubers_corrections():
     size, factor = (slope @ slope) / 7 / inner**2, 1 + 0.3 * 0.2 / inner
     assert efficiency(loss, r, 0.3) == pytest.approx(min(1.0, 1 / size) / factor**2)
     assert efficiency(loss, 2 * r, 0.3) == pytest.approx(
-        0.7**2 / (np.sum(np.clip(2 * r, -1.5, 1.5) ** 2) / 7) / (1 + 0.3 * 0.3 / 0.7) ** 2
+        0.6**2 / (np.sum(np.clip(2 * r, -1.5, 1.5) ** 2) / 7) / (1 + 0.3 * 0.4 / 0.6) ** 2
     )
 
 
