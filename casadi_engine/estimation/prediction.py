@@ -26,7 +26,7 @@ from casadi_engine.estimation.starts import chained_nodes
 from casadi_engine.experiment import Experiment
 from casadi_engine.parameters import compile
 from casadi_engine.simulation.discretisation import Method
-from casadi_engine.simulation.grid import Grid, Measured
+from casadi_engine.simulation.grid import Grid, Measured, lay_grid
 from casadi_engine.simulation.late_outputs import as_shown
 from casadi_engine.simulation.propagator import switches_with_states
 
@@ -231,6 +231,11 @@ class _Record:
         self.covariance = np.zeros((len(self.z), len(self.z)))
         own = fit.covariance[np.ix_(there, there)] / np.outer(slope[here], slope[here])
         self.covariance[np.ix_(here, here)] = own
+        own_record = next((r for r in fit.data if r.name == data.name), None)
+        self.told: _Record = self  # the record that tells the initial states
+        if len(self.free) and not self.rows and own_record is not None and own_record is not data:
+            known_grid = lay_grid(model, own_record, outputs=self.outputs)
+            self.told = _Record(fit, own_record, known_grid, initial, method)
         lost = [name for k, name in enumerate(self.pmap.free) if k not in here]
         self.messages = (
             (f"the error of {', '.join(lost)} is not in the band: the fit has none for this record",)
@@ -246,6 +251,8 @@ class _Record:
                 continue
             channel = data[name]
             seen = channel.mask & (channel.time >= time[0] - 1e-9) & (channel.time <= time[-1] + 1e-9)
+            if not seen.any():
+                continue
             at = np.clip(np.searchsorted(time, channel.time[seen]), 1, len(time) - 1)
             at = at - (channel.time[seen] - time[at - 1] < time[at] - channel.time[seen])
             found.append((k, at, channel.values[seen]))
@@ -254,11 +261,19 @@ class _Record:
     def at(self, v: Array, first: Array) -> tuple[Array, Array]:
         """Outputs (ny, N) from parameters v and first state, and their slopes (nz + n, ny, N) in both."""
         record = self.record
-        for _ in range(_SHORTENED):
-            nodes = chained_nodes(record, v, first)
-            if not shorten_steps([record], v, [nodes], shift=SHIFT * self._least):
-                break
-        point = record.evaluate(v, nodes)
+        try:
+            for _ in range(_SHORTENED):
+                nodes = chained_nodes(record, v, first)
+                if not shorten_steps([record], v, [nodes], shift=SHIFT * self._least):
+                    break
+            point = record.evaluate(v, nodes)
+        except FloatingPointError as fault:
+            raise SimulationError(
+                "there are no slopes along the simulation, of which a band is made",
+                seen=str(fault),
+                allowed="a model that has derivatives at all its states",
+                cure="leave band out, or keep laws such as roots and powers away from 0, as fmax(x, 1e-9)",
+            ) from fault
         slopes = chained_slopes(record, point)
         whole = np.zeros((len(self.z) + record.n, len(self.outputs), record.grid.samples))
         entries = np.concatenate([record.active, len(self.z) + np.arange(record.n)])
@@ -286,8 +301,13 @@ class _Record:
         turn, states = slopes[: len(self.z)].copy(), slopes[len(self.z) + self.free]
         variance = np.zeros_like(value)
         if len(self.free):
-            inverse = self.states(slopes)
-            follow = -inverse @ self.seen(turn).T  # (f, nz): how fitted states move with the parameters
+            told, known = self.told, slopes
+            if told is not self:
+                _, known = told.at(self.v, self.first)
+            inverse = told.states(known)
+            follow = (
+                -inverse @ told.seen(known[: len(self.z)]).T
+            )  # (f, nz): how fitted states move with parameters
             turn += np.einsum("fz,fyn->zyn", follow, states)
             own = inverse @ inverse.T * np.outer(self.wider, self.wider)
             variance += np.einsum("fyn,fg,gyn->yn", states, own, states, optimize=True)
@@ -316,9 +336,11 @@ class _Record:
     def _one(self, v: Array, rng: np.random.Generator) -> Array:
         """Outputs (ny, N) at one draw of the parameters."""
         value, slopes = self.at(v, self.first)
-        if not len(self.free):
+        if not len(self.free) or not self.told.rows:
             return value
-        inverse = self.states(slopes)
-        left = self.seen(value) - np.concatenate([own / self.sigma[k] for k, _, own in self.rows])
-        move = -inverse @ (left + rng.standard_normal(len(left)))
+        told, seen, known = self.told, value, slopes
+        if told is not self:
+            seen, known = told.at(v, self.first)
+        left = told.seen(seen) - np.concatenate([own / told.sigma[k] for k, _, own in told.rows])
+        move = -told.states(known) @ (left + rng.standard_normal(len(left)))
         return np.asarray(value + np.einsum("f,fyn->yn", move, slopes[len(self.z) + self.free]))

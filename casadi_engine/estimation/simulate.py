@@ -124,7 +124,7 @@ def simulate(
                 allowed=near_matches(name, names),
                 cure="print(model.table()) lists the states",
             )
-    measured = tuple(out.name for out in model.outputs if out.name in data)
+    measured = _measured(model, data)
     missing = [name for name in names if name not in given]
     values = model.parameter_vector(parameters)
     if missing:
@@ -158,9 +158,19 @@ def _of_fit(
         parameters = own | dict(parameters or {})
     if initial is None and isinstance(data, Experiment):
         begins = {record.name: _begin(fit.model, record) for record in fit.data}
-        if data.name in begins and begins[data.name] == _begin(fit.model, data):
+        here = _begin(fit.model, data)
+        if here is None:  # times alone, at which the fitted record is to go on
+            here = min(
+                (float(data[o.name].time[0]) for o in fit.model.outputs if o.name in data), default=None
+            )
+        if data.name in begins and begins[data.name] == here:
             initial = fit.initial[data.name]
     return fit.model, parameters, initial
+
+
+def _measured(model: Model, data: Experiment) -> tuple[str, ...]:
+    """The outputs of which there are samples."""
+    return tuple(out.name for out in model.outputs if out.name in data and data[out.name].mask.any())
 
 
 def _begin(model: Model, data: Experiment) -> float | None:
@@ -192,7 +202,8 @@ def _fitted_start(
     model: Model, data: Experiment, values: Array, given: Mapping[str, float], method: Method
 ) -> dict[str, Any]:
     """The initial state that explains the measured outputs best, parameters held."""
-    known = [k for k, out in enumerate(model.outputs) if out.name in data]
+    seen = _measured(model, data)
+    known = [k for k, out in enumerate(model.outputs) if out.name in seen]
     model = replace(
         model,
         outputs=tuple(model.outputs[k] for k in known),
