@@ -61,5 +61,8 @@ def _off(lead: Mapping[str, float], other: Mapping[str, float], fit: Fit) -> lis
             continue
         size = abs(other[name] - lead[name]) / estimate.stderr
         if size > _APART and math.isfinite(size):
-            found.append((size, name, f"{estimate.value + other[name] - lead[name]:.4g}{si(estimate.unit)}"))
+            own, value = fit.parameters[name.partition("@")[0]], estimate.value + other[name] - lead[name]
+            if not own.min <= value <= own.max:  # far along a valley two refits do not differ as two fits do
+                value = other[name]
+            found.append((size, name, f"{value:.4g}{si(estimate.unit)}"))
     return sorted(found, reverse=True)

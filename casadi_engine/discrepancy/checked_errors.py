@@ -95,6 +95,11 @@ def with_errors_of_rounding(
     return replace(repair, fit=fit, effects=effects, messages=(*repair.messages, *said))
 
 
+def is_of_rounding(repair: Repair) -> bool:
+    """True where the search was ended before corners were sharp: what is unexplained may come of that alone."""
+    return any(one.why == _ROUNDED for one in repair.fit.estimates.values())
+
+
 def as_fitted(fit: Fit) -> Parameters:
     """A fit's parameters to go on from, with the widths of its corners held."""
     pars = fit.parameters.copy()

@@ -41,6 +41,7 @@ from casadi_engine.discrepancy.requests import check_alpha, left_out, read_reque
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
 from casadi_engine.discrepancy.unstable_records import cut_words, in_pieces
 from casadi_engine.discrepancy.wider_bounds import with_free_starts, with_wider_bounds
+from casadi_engine.discrepancy.withdrawal import held_to_sizes
 from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, UNRESOLVED, USER
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import CasadiEngineError, EstimationError, ExperimentError
@@ -371,7 +372,7 @@ class _Job:
         with self.deadline.spared(1.0), suppress(TimeUp):
             made = with_other_reading(made, self.parameters, self.noise, options, work)
         found = frozenset((one.name, one.at) for one in made.effects)
-        return with_lost_beginning(made, search.refits.pool.get(found))
+        return with_lost_beginning(held_to_sizes(made), search.refits.pool.get(found))
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:
         """The fit without effects, the parameters that later fits start from, and the work of a start."""

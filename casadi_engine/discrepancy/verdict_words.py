@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from casadi_engine.discrepancy.checked_errors import is_of_rounding
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh_misfit import FRESH, HALF, fresh_doubt, fresh_misfit, how_far, is_louder
 from casadi_engine.discrepancy.repaired import UNCONFIRMED, UNTOLD, in_its_place
@@ -17,6 +18,7 @@ from casadi_engine.discrepancy.wording import (
     UNRESOLVED,
     USER,
     is_blind,
+    is_untold,
     names_own_law,
     twins,
     what_acts,
@@ -70,7 +72,7 @@ def headline(repair: Repair) -> str:
     law = in_its_place(repair.unknown, repair.effects)
     if repair.unknown and (law or repair.unknown.odds is not None):
         doubt += f", or {'rather ' if law else ''}a law that the library lacks"
-    elif repair.unknown:
+    elif repair.unknown and not is_of_rounding(repair):
         doubt += ", and more that no effect of the library names"
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
@@ -147,6 +149,8 @@ def _named(repair: Repair) -> str:
         else:
             missing.append(name)
     verb = "is" if len(missing) == 1 else "are"
+    if any(is_untold(one) for one in repair.effects):
+        verb = "may be"
     return " and ".join([*([f"{' and '.join(missing)} {verb} missing"] if missing else []), *wrong])
 
 
@@ -158,7 +162,9 @@ def _on_fresh(repair: Repair) -> str:
     found = how_far(repair)
     if fresh_misfit(repair) is not None:
         what = "which the repaired model does not fit" if repair.effects else "but fresh data do not fit"
-        if is_louder(repair):
+        if is_of_rounding(repair):
+            what = "which its corners, still rounded, do not follow"
+        elif is_louder(repair):
             what = "which are noisier" if repair.effects else "but fresh data are noisier"
         return f", {what}: {found}"
     if fresh_doubt(repair) is not None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.repaired import BEHIND_OTHERS, FoundEffect, Nearest, Repair, Unknown
+from casadi_engine.discrepancy.wording import is_untold
 
 
 def withdrawn(repair: Repair, why: str, unknown: Unknown | None, *messages: str) -> Repair:
@@ -41,6 +42,18 @@ def held_to_rivals(repair: Repair) -> Repair:
     """The repair without effects that fresh data do not confirm and the data exclude beside what could not lead."""
     behind = None if repair.confirmed else far_less_probable(repair.effects)
     return repair if behind is None else withdrawn(repair, BEHIND_OTHERS, behind)
+
+
+def held_to_sizes(repair: Repair) -> Repair:
+    """The repair, confirmed by no fresh data where it does not tell the size of what it names."""
+    untold = [f"{one.name} at {one.at}" for one in repair.effects if is_untold(one)]
+    if not untold or not repair.confirmed:
+        return repair
+    words = (
+        f"the gap on fresh data is smaller with {' and '.join(untold)}, whose size is not told from none, or is at a "
+        "bound: that is no confirmation"
+    )
+    return replace(repair, confirmed=None, messages=(words, *repair.messages))
 
 
 def far_less_probable(found: Sequence[FoundEffect]) -> Unknown | None:

@@ -216,6 +216,12 @@ def of_either_sign(one: Estimate) -> str:
     return " (its 95 % interval contains 0)"
 
 
+def is_untold(one: FoundEffect) -> bool:
+    """True for an effect whose size its errors do not tell from none, or which has grown to a bound of it."""
+    size = one.amplitude
+    return bool(of_either_sign(size)) or size.at_bound is not False
+
+
 def acts_as(one: FoundEffect, name: str, model: Model) -> str:
     """What a "torque" is at a port where none acts: `` (a force)``; "" for anything else."""
     known = model.ports[one.at].quantity if one.at in model.ports.names else "torque"

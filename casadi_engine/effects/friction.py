@@ -129,7 +129,7 @@ class AsymmetricFriction(_Rounded):
         """It is dry friction alone on a motion in one direction, and beside a constant torque that is estimated."""
         courses = port.courses("speed")
         if courses and not min(c.min() for c in courses) < 0 < max(c.max() for c in courses):
-            return "the records move in one direction alone"
+            return "the simulation of the records moves in one direction alone"
         return "a constant torque there is estimated already" if port.has_free_constant else ""
 
 

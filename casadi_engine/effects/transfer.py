@@ -94,6 +94,10 @@ class Overflow(Effect):
             "source": Grid(1, 2, steps=2, whole=True, description="the end that runs over"),
         }
 
+    def idle(self, port: Any) -> str:
+        """Of levels, pressures, voltages: what is filled; a temperature has no edge."""
+        return "a temperature does not run over an edge" if port.is_temperature("first") else ""
+
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The same with an edge within the levels of the records, and a largest rate, where none was given."""
         most = self.most

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import EffectError
+from casadi_engine.experiment.units import read_unit
 from casadi_engine.model.declarations import ParameterDeclaration, Port
 from casadi_engine.parameters import near_matches
 
@@ -64,6 +65,11 @@ class PortView:
     def has(self, signal: str) -> bool:
         """True if the port has a signal of that name."""
         return signal in self._port.signals
+
+    def is_temperature(self, signal: str) -> bool:
+        """True if the unit of a signal is one of temperature."""
+        unit = self._port.units.get(signal)
+        return unit is not None and read_unit(unit).dimension == "K"
 
     @property
     def declaration(self) -> ParameterDeclaration | None:

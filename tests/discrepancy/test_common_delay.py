@@ -64,7 +64,9 @@ def test_a_constant_may_be_an_offset_of_an_input(at, said):
     """Where it stands at the place at which the input acts, in the class of what was found."""
     why = [
         NotApplicable("input_offset", "input_Tamb", (), (), "constant_torque at air does the same"),
-        NotApplicable("asymmetric_friction", "air", (), (), "the records move in one direction alone"),
+        NotApplicable(
+            "asymmetric_friction", "air", (), (), "the simulation of the records moves in one direction alone"
+        ),
     ]
     members = [
         SimpleNamespace(name="coulomb_friction", at="air"),

@@ -80,7 +80,9 @@ def test_it_is_not_looked_for_where_the_motion_has_one_direction():
     assert [one.values["asymmetry"] for one in both] == pytest.approx([-1, -0.6, -0.2, 0.2, 0.6, 1])
     skipped = []
     assert candidates(cart(), [AsymmetricFriction()], record(), courses=motion(-1), skipped=skipped) == ()
-    assert str(skipped[0]) == ("asymmetric_friction at body: the records move in one direction alone")
+    assert str(skipped[0]) == (
+        "asymmetric_friction at body: the simulation of the records moves in one direction alone"
+    )
 
 
 def test_it_is_not_looked_for_beside_a_constant_torque_that_is_estimated():

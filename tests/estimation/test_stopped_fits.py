@@ -2,13 +2,13 @@
 
 import os
 import signal
+import sys
 import time
 
 import pytest
 
 import casadi_engine as ce
 from casadi_engine.deadline import ask
-from casadi_engine.estimation import estimate as module
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +28,7 @@ def test_it_ends_what_follows_the_search(step, line, line_data, monkeypatch):
             ask()
         raise AssertionError("nobody told it")
 
-    monkeypatch.setattr(module, step, pressed)
+    monkeypatch.setattr(sys.modules["casadi_engine.estimation.estimate"], step, pressed)
     fit = ce.estimate(line(), line_data().data, progress=False)
     assert fit.status == "interrupted"
     assert "interrupted by the user" in fit.messages[0]

@@ -20,6 +20,11 @@ class Wells:
         return Squares(float(50 * (v - place) @ (v - place) + self._higher * abs(place[0])), 100 * (v - place),
                        100 * np.eye(1))  # fmt: skip
 
+    steep = squares
+
+    def met(self, v):
+        return v, np.zeros((1, 1))
+
 
 def test_they_end_where_all_end_alike():
     searches = _Searches(Wells(1.0))
