@@ -8,6 +8,8 @@ left tells the parameters as if no state were known, however much changes grow.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,16 +33,29 @@ def grows(record: RecordTerm, point: RecordPoint, most: float = _GROWN) -> bool:
     return log_growth(in_their_sizes(point), record.plan.m - 1) > most
 
 
-def eliminated(record: RecordTerm, point: RecordPoint, kept: NDArray[np.bool_]) -> tuple[Array, Array] | None:
+@dataclass(frozen=True)
+class Eliminated:
     """Information (nz + n, nz + n) of a record's active parameters and of coordinates in place of its initial states,
-    and the matrix (nz + n, nz + n) that leads from these coordinates to the states; None where a state is not told.
+    the gradient (nz + n,) of its loss in these, and the matrix (nz + n, nz + n) that leads from these coordinates to
+    the states."""
 
-    kept : (n,) initial states that stay coordinates, as they have a bound or are fixed
+    information: Array
+    gradient: Array
+    turn: Array
+
+
+def eliminated(
+    record: RecordTerm, point: RecordPoint, kept: NDArray[np.bool_], slope: Array
+) -> Eliminated | None:
+    """A record whose states are taken out; None where a state is not told.
+
+    kept : (n,) initial states that stay coordinates, as they have a bound or are fixed; slope : (K, M) of the loss
     """
     n, nz = record.n, len(record.active)
-    rows = _swept(record, point)
+    rows = _swept(record, point, slope)
     order = np.concatenate([np.flatnonzero(~kept), np.flatnonzero(kept), n + np.arange(nz)])
-    r = np.asarray(np.linalg.qr(rows[:, order], mode="r"))
+    r = np.asarray(np.linalg.qr(rows[:, np.append(order, n + nz)], mode="r"))
+    r, off = r[: len(order), :-1], r[: len(order), -1]
     count = int((~kept).sum())
     if (
         len(r) < len(order)
@@ -54,21 +69,25 @@ def eliminated(record: RecordTerm, point: RecordPoint, kept: NDArray[np.bool_]) 
     information, turn = np.eye(len(order)), np.eye(len(order))
     information[count:, count:] = r[count:, count:].T @ r[count:, count:]
     turn[:count, :count], turn[:count, count:] = back, -back @ r[:count, count:]
-    return information[np.ix_(place, place)], turn[np.ix_(place, place)]
+    gradient = np.concatenate([off[:count], r[count:, count:].T @ off[count:]])
+    return Eliminated(information[np.ix_(place, place)], gradient[place], turn[np.ix_(place, place)])
 
 
-def _swept(record: RecordTerm, point: RecordPoint) -> Array:
-    """Rows over [first state; parameters] that have the products of all residuals' slopes."""
+def _swept(record: RecordTerm, point: RecordPoint, slope: Array) -> Array:
+    """Rows over [first state; parameters] that have the products of all residuals' slopes, and beside them the residual
+    that has their products with ``slope`` (K, M). What is left of gaps between the intervals is none of it: it grows
+    as changes do, and a search closes them."""
     n, nz, m = record.n, len(record.active), record.plan.m
     end_z, end_s, weight = point.path.end_z, point.path.end_s, record.weight
     jz, js = point.jz, point.js
-    found: Array = np.zeros((0, n + nz))
+    found: Array = np.zeros((0, n + nz + 1))
     for i in range(m - 1, -1, -1):
-        ahead = np.eye(n + nz)
+        ahead = np.eye(n + nz + 1)
         ahead[:n, :n] = end_s[i if len(end_s) > 1 else 0]
-        ahead[:n, n:] = end_z[:, :, i].T
+        ahead[:n, n:-1] = end_z[:, :, i].T
         own = (js if js.ndim == 2 else js[:, i]) * weight[:, i, None]
         # the large rows first: steps by Householder's reflections then keep the small ones
-        rows = np.concatenate([found @ ahead, np.concatenate([own, jz[:, :, i].T], axis=1)])
+        mine = np.concatenate([own, jz[:, :, i].T, slope[:, i, None]], axis=1)
+        rows = np.concatenate([found @ ahead, mine])
         found = np.asarray(np.linalg.qr(rows, mode="r"))
     return found

@@ -31,6 +31,7 @@ from casadi_engine.estimation.nothing_left import nothing_left
 from casadi_engine.estimation.options import begun_at, chosen, seconds_for_intervals, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.short_intervals import short_enough
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
@@ -234,7 +235,8 @@ def _searched(
     own = Deadline(best=best_wanted())
     with own:
         report = _reporter(progress, starts + 2 * neighbours, arguments["max_iterations"])
-        search = Search(**arguments, progress=report, interrupts=interrupts)
+        laid = lambda changed: Search(**changed, progress=report, interrupts=interrupts)  # noqa: E731
+        search, arguments = short_enough(laid(arguments), arguments, laid)
         setup = time.perf_counter() - entered
         # set-up, errors and last steps are of the whole data anyhow: one search from near by is as fast there
         several_searches = starts + neighbours > 1 or arguments["approach"] == "prediction"

@@ -345,7 +345,7 @@ def _information(search: Search, best: Attempt) -> tuple[Array, Array, Array | N
     size = problem.nv + sum(record.n for record in search.records)
     information, turn, turned = np.zeros((size, size)), np.eye(size), False
     information[: problem.nv, : problem.nv] = problem.priors.evaluate(x[: problem.nv])[3]
-    gradient = np.zeros(size)
+    gradient, out = np.zeros((2, size))
     gradient[: problem.nv] = point.gradient[: problem.nv] * problem.samples
     at = problem.nv
     for record, found, lay, limits in zip(
@@ -355,16 +355,21 @@ def _information(search: Search, best: Attempt) -> tuple[Array, Array, Array | N
         share = efficiency(search.loss, found.r[record.observation.valid], search.lost)
         where = np.concatenate([record.active, np.arange(at, at + record.n)])
         kept = np.isfinite(np.array(limits[:2])).any(axis=0)
-        apart = eliminated(record, found, np.asarray(kept)) if grows(record, found) else None
+        apart = None
+        if grows(record, found):
+            apart = eliminated(record, found, np.asarray(kept), search.loss.slope(found.r))
         if apart is None:
             own = chained_information(record, found, record.gauss_newton(found))
+            node_gradient = lay.take(point.gradient) * problem.samples
+            gradient[where] += chained_gradient(record, found, node_gradient)
         else:
-            own, turned = apart[0], True
-            turn[at : at + record.n, where] = apart[1][len(record.active) :]
+            own, turned = apart.information, True
+            turn[at : at + record.n, where] = apart.turn[len(record.active) :]
+            out[where] += apart.gradient
+            out[record.active] -= record.gradient(found, search.loss)[0]  # which is in that of the problem
         information[np.ix_(where, where)] += own * share
-        gradient[where] += chained_gradient(record, found, lay.take(point.gradient) * problem.samples)
         at += record.n
-    return information, turn.T @ gradient if turned else gradient, turn if turned else None
+    return information, turn.T @ gradient + out if turned else gradient, turn if turned else None
 
 
 def efficiency(loss: Loss, r: Array, lost: float = 0.0) -> float:

@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 # Output -> standard deviation of the noise, and from how many degrees of freedom it was found.
 Levels = Mapping[str, tuple[float, float]]
 # A test that a fit's own data are not asked for: it is zero on average there, and as large as it is.
+# Lags that are tested, and samples of an output for each at least.
+_LAGS, _OF_LAG = 25, 4
 NOT_FRESH = ResidualTest(None, None, None, 0, why="not fresh data")
 
 
@@ -65,7 +67,8 @@ def tests_of(record: str, output: str, check: OutputCheck) -> dict[str, Residual
 class Validation:
     """The answer of ``validate``.
 
-    records : record -> output -> OutputCheck; passed : no test is rejected at ``alpha`` over all of them (Holm);
+    records : record -> output -> OutputCheck
+    passed : tests were made, and none is rejected at ``alpha`` over all of them (Holm)
     failed : the rejected ones as "record/output/whiteness", ".../mean", ".../size", "record/output/drive", "parameters"
     or "bounds"; fit : the parameters held and the initial states found on these data; parameters : whether fresh data
     agree with these within their errors, None for a fit's own data and for parameters that were given; notes : what the
@@ -94,7 +97,7 @@ def validate(
     parameters: Parameters | None = None,
     noise: Noise | None = None,
     alpha: float = 0.01,
-    lags: int = 25,
+    lags: int | None = None,
     known: Levels | None = None,
 ) -> Validation:
     """Test a fit on data: fit percentages (2.32), residual sizes (2.34), whiteness and independence of the drives.
@@ -108,7 +111,8 @@ def validate(
     data : fresh experiments, on which only initial states are found, and parameters that vary by experiment where a
     record has another name than those of the fit; None tests the fit on its own data
     parameters : other values than the fit's; noise : other noise levels than the fit's
-    alpha : false-alarm rate of the verdict over all tests together; lags : of the tests
+    alpha : false-alarm rate of the verdict over all tests together
+    lags : of the tests; None for 25, or a quarter of an output's samples where these are fewer
     known : output -> (standard deviation, degrees of freedom) of the noise that what is left is held against, where a
     fit that holds the values of an earlier one is tested; found from ``fit`` where there are fresh ``data``
 
@@ -151,8 +155,9 @@ def validate(
             tests["bounds"] = again.check.limits
     failed = rejected(tests, alpha=alpha)
     notes = _notes(fit, held, again, alpha, failed) if isinstance(fit, Fit) else ()
+    passed = not failed and any(test.p_value is not None for test in tests.values())
     return Validation(
-        records, not failed, tuple(failed), alpha, held, None if again is None else again.check, notes
+        records, passed, tuple(failed), alpha, held, None if again is None else again.check, notes
     )
 
 
@@ -297,7 +302,9 @@ def _before(time: Array, at: Array, values: Array) -> Array:
     return found
 
 
-def _check(fit: Fit, record: str, output: str, trace: Trace, lags: int, again: Refit | None) -> OutputCheck:
+def _check(
+    fit: Fit, record: str, output: str, trace: Trace, lags: int | None, again: Refit | None
+) -> OutputCheck:
     model = trace.simulated if trace.predicted is None else trace.predicted
     sizes = fit_measures(trace.measured, model, mask=trace.mask)
     held = {c.name for one in fit.data if one.name == record for c in one.channels if c.hold == "zero"}
@@ -309,6 +316,8 @@ def _check(fit: Fit, record: str, output: str, trace: Trace, lags: int, again: R
     place = (record, output)
     if again is not None and place in again.index:
         residual, mask, jacobian = _within_errors(trace, place, again)
+    if lags is None:
+        lags = min(_LAGS, max(1, int(np.count_nonzero(mask)) // _OF_LAG))
     checks = check_residual(residual, drives, mask=mask, jacobian=jacobian, lags=lags)
     return OutputCheck(
         fit.fit_percent[record][output],

@@ -106,7 +106,8 @@ def test_taken_out_states_leave_the_information_of_the_chain():
     assert not grows(record, point)
     chained = chained_information(record, point, record.gauss_newton(point))
     for kept in (np.array([False, False]), np.array([True, False])):
-        own, turn = eliminated(record, point, kept)
+        found = eliminated(record, point, kept, np.zeros_like(point.r))
+        own, turn = found.information, found.turn
         found = turn @ invert(own, np.zeros(4, dtype=bool), np.zeros((0, 4))).matrix @ turn.T
         np.testing.assert_allclose(found, np.linalg.inv(chained), rtol=1e-6)
 
@@ -126,4 +127,4 @@ def test_a_state_that_no_output_tells_is_not_taken_out():
     term.set_sigma(np.array([0.1]))
     v = search.coordinates.of(np.array([1.0]))
     point = term.evaluate(v, chained_nodes(term, v, np.array([1.0, 1.0])))
-    assert eliminated(term, point, np.array([False, False])) is None
+    assert eliminated(term, point, np.array([False, False]), np.zeros_like(point.r)) is None
