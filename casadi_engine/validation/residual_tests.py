@@ -13,7 +13,7 @@ References: G. M. Ljung and G. E. P. Box (1978) for the whiteness test, here aft
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -43,6 +43,10 @@ from casadi_engine.validation.whitening import Whitener
 PREDICTED = 1e-8
 # Rounds of colour and regression coefficients.
 ROUNDS = 4
+# Samples below which the law of the statistic is drawn; drawings, and the share of them that its tail goes on from.
+FEW, DRAWN, OF_TAIL = 150, 2000, 20
+# Samples from which on a plain pattern in them is beyond chance once in a hundred.
+LEAST = 15
 # Products of the exact covariance at most; where more columns were fitted, their directions count as any others.
 MOST_PRODUCTS = 1e9
 # Residual energy below this share, after removing what the parameters explain, is rounding.
@@ -307,6 +311,8 @@ def _sensitivities(jacobian: ArrayLike, valid: BoolArray) -> FloatArray:
 def _whiteness(data: _Residual, lags: int) -> ResidualTest:
     """Judge the sums of products with the residual's own past, all lags together, by their exact covariance."""
     why = data.enough_for(lags)
+    if why is None and data.samples < LEAST:
+        why = f"only {data.samples} valid samples: whether they are white shows from {LEAST} on"
     if why is not None:
         return ResidualTest(None, None, None, data.samples, why=why)
     steps = np.arange(1, lags + 1)
@@ -317,19 +323,61 @@ def _whiteness(data: _Residual, lags: int) -> ResidualTest:
         return ResidualTest(
             None, None, None, data.samples, why="no lag can be tested: too few pairs of samples"
         )
-    sums = lagged_products(data.e, data.e, steps)
     freedom = data.samples - data.nuisance.shape[1]
-    variance = float(data.e @ data.e) / freedom
     mean, covariance = _moments(data, steps, pairs)
     size = np.sqrt(np.maximum(np.diag(covariance), WEAKEST * pairs))
     strength, directions = np.linalg.eigh(covariance / np.outer(size, size))
     usable = strength > ABSORBED
-    found = directions[:, usable].T @ ((sums / variance - mean) / size) / np.sqrt(strength[usable])
-    statistic, rank = float(found @ found), int(usable.sum())
+    turn, rank = directions[:, usable] / np.sqrt(strength[usable]), int(usable.sum())
+
+    def statistic_of(sums: FloatArray, squares: FloatArray) -> FloatArray:
+        """Of sums (..., K) of products and of squares (...)."""
+        found = ((sums * (freedom / squares)[..., None] - mean) / size) @ turn
+        return np.asarray((found**2).sum(axis=-1))
+
+    statistic = float(
+        statistic_of(lagged_products(data.e, data.e, steps), np.asarray(float(data.e @ data.e)))
+    )
+    if data.samples < FEW:
+        return ResidualTest(statistic, rank, _by_drawing(data, steps, statistic, statistic_of), data.samples)
     # Residuals are few: the sum of squares varies by 2 rank + 4 rank^2/freedom, as does F with so many below.
     below = freedom / 2 + 4
     p_value = float(f_sf(statistic / rank * below / (below - 2), rank, below))
     return ResidualTest(statistic, rank, p_value, data.samples)
+
+
+def _by_drawing(
+    data: _Residual,
+    steps: IntArray,
+    statistic: float,
+    statistic_of: Callable[[FloatArray, FloatArray], FloatArray],
+) -> float:
+    """How often white noise in the place of the residual makes the statistic as large, or that of the ranks of
+    neighbours, which one large sample does not rule (Bartels 1982, J. Am. Stat. Assoc. 77, 40): by drawings of it."""
+    drawn = np.random.default_rng(0).standard_normal((DRAWN, data.e.size)) * data.valid
+    drawn -= (drawn @ data.nuisance) @ data.nuisance.T
+    sums = np.stack([np.einsum("dn,dn->d", drawn[:, k:], drawn[:, :-k]) for k in steps], axis=1)
+    by_products = _chance(statistic, statistic_of(sums, np.einsum("dn,dn->d", drawn, drawn)))
+    own, others = (_neighbours(e[:, data.valid]) for e in (data.e[None], drawn))
+    middle = float(others.mean())
+    by_ranks = _chance(abs(float(own[0]) - middle), np.abs(others - middle))
+    return min(1.0, 2 * min(by_products, by_ranks))
+
+
+def _neighbours(e: FloatArray) -> FloatArray:
+    """(D,) sums of products of the ranks of neighbours, of rows (D, n)."""
+    ranks = np.argsort(np.argsort(e, axis=1), axis=1) - (e.shape[1] - 1) / 2
+    return np.asarray((ranks[:, 1:] * ranks[:, :-1]).sum(axis=1))
+
+
+def _chance(statistic: float, drawn: FloatArray) -> float:
+    """The share of drawings that are as large; where they are few, their mean excess goes on from them."""
+    found, tail = np.sort(drawn), len(drawn) // OF_TAIL
+    begins = found[-tail - 1]
+    if statistic <= begins:
+        return float((1 + np.count_nonzero(found >= statistic)) / (len(found) + 1))
+    excess = max(float((found[-tail:] - begins).mean()), 1e-300)
+    return float(np.exp((begins - statistic) / excess) / OF_TAIL)
 
 
 def _moments(data: _Residual, steps: IntArray, pairs: FloatArray) -> tuple[FloatArray, FloatArray]:
