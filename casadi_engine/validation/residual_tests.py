@@ -45,8 +45,6 @@ PREDICTED = 1e-8
 ROUNDS = 4
 # Samples below which the law of the statistic is drawn; drawings, and the share of them that its tail goes on from.
 FEW, DRAWN, OF_TAIL = 150, 2000, 20
-# Samples from which on a plain pattern in them is beyond chance once in a hundred.
-LEAST = 15
 # Products of the exact covariance at most; where more columns were fitted, their directions count as any others.
 MOST_PRODUCTS = 1e9
 # Residual energy below this share, after removing what the parameters explain, is rounding.
@@ -311,8 +309,6 @@ def _sensitivities(jacobian: ArrayLike, valid: BoolArray) -> FloatArray:
 def _whiteness(data: _Residual, lags: int) -> ResidualTest:
     """Judge the sums of products with the residual's own past, all lags together, by their exact covariance."""
     why = data.enough_for(lags)
-    if why is None and data.samples < LEAST:
-        why = f"only {data.samples} valid samples: whether they are white shows from {LEAST} on"
     if why is not None:
         return ResidualTest(None, None, None, data.samples, why=why)
     steps = np.arange(1, lags + 1)

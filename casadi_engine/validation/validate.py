@@ -29,8 +29,9 @@ Array = NDArray[np.float64]
 # Output -> standard deviation of the noise, and from how many degrees of freedom it was found.
 Levels = Mapping[str, tuple[float, float]]
 # A test that a fit's own data are not asked for: it is zero on average there, and as large as it is.
-# Lags that are tested, and samples of an output for each at least.
-_LAGS, _OF_LAG = 25, 4
+# Lags that are tested, and samples of an output for each at least; samples from which on a plain pattern in them is
+# beyond chance once in a hundred.
+_LAGS, _OF_LAG, _LEAST = 25, 4, 15
 NOT_FRESH = ResidualTest(None, None, None, 0, why="not fresh data")
 
 
@@ -316,15 +317,19 @@ def _check(
     place = (record, output)
     if again is not None and place in again.index:
         residual, mask, jacobian = _within_errors(trace, place, again)
+    few = None
     if lags is None:
-        lags = min(_LAGS, max(1, int(np.count_nonzero(mask)) // _OF_LAG))
+        if (count := int(np.count_nonzero(mask))) < _LEAST:
+            why = f"only {count} valid samples: whether they are white shows from {_LEAST} on"
+            few = ResidualTest(None, None, None, count, why=why)
+        lags = min(_LAGS, max(1, count // _OF_LAG))
     checks = check_residual(residual, drives, mask=mask, jacobian=jacobian, lags=lags)
     return OutputCheck(
         fit.fit_percent[record][output],
         sizes.rmse,
         sizes.S1,
         sizes.S2,
-        checks.whiteness,
+        few or checks.whiteness,
         checks.cross,
         checks.autocorrelation,
         checks.cross_correlation,

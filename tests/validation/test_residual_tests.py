@@ -583,3 +583,25 @@ def test_a_full_record_against_five_drives_is_quick():
         check_residual(residual, drives)
         seconds.append(time.thread_time() - start)
     assert min(seconds) < 0.2  # 0.03 s on an idle core
+
+
+@pytest.mark.parametrize("count", [16, 40])
+def test_few_samples_alarm_as_often_as_they_should(count):
+    """600 records of white noise of which two slopes took their share; 1 of 20 alarms within what chance allows."""
+    time = np.linspace(0, 1, count)
+    slopes = np.stack([np.exp(-3 * time), time], axis=1)
+    basis = np.linalg.qr(slopes)[0]
+    rng, alarms = np.random.default_rng(0), 0
+    for _ in range(600):
+        e = rng.standard_normal(count)
+        alarms += whiteness(e - basis @ (basis.T @ e), jacobian=slopes, lags=count // 4).p_value < 0.05
+    assert 10 < alarms < 48
+
+
+def test_a_pattern_in_twenty_samples_is_seen_beside_a_large_one():
+    """What a second exponential leaves: its first sample is larger than all others."""
+    time = np.linspace(0, 5, 20)
+    slopes = np.stack([np.exp(-time), time * np.exp(-time)], axis=1)
+    basis = np.linalg.qr(slopes)[0]
+    left = np.exp(-8 * time) + 0.2 * np.exp(-0.1 * time) + 0.01 * np.random.default_rng(0).standard_normal(20)
+    assert whiteness(left - basis @ (basis.T @ left), jacobian=slopes, lags=5).p_value < 0.01
