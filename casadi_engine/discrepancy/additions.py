@@ -170,9 +170,12 @@ class Additions:
         if linear:
             self.lead, self.start = step, start_without(best.arrived, best.newest(self.here))
         left = self._promising(best, step, rest, clearly=not linear)
-        # a delay and a lag of one channel are far from one another by a step, and not by their refits
+        # a delay and a lag of one channel are far from one another by a step, and not by their refits; and what is late
+        # behind an input is late in a sensor
         effect, port = best.newest(self.here).candidate.key
-        for key in [k for k in rest if effect in LATE and k[0] in LATE and k[1] == port]:
+        alone = costs_of(self.screened, self.at_here, self.families) if effect in LATE else {}
+        most = self.here.arrived.cost - PART * (self.here.arrived.cost - best.arrived.cost)
+        for key in [k for k in rest if k[0] in LATE and k in alone and (k[1] == port or alone[k] < most)]:
             self.tell(f"refit of what is late as well: {key[0]} at {key[1]}")
             one = chosen_of(self.screened, step, self.families[key])
             self._try(one, start_without(best.arrived, best.newest(self.here)), near=True)

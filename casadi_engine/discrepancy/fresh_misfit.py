@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 # The gap on fresh data is larger by at least this factor, and chance would do as much less often than this. Samples of
 # coloured noise count less by a memory that is generous.
-LARGER, SURE, MEMORY = 1.5, 1e-4, 20.0
+# Noise may be a little louder there, but what is not white is no noise: then the smaller factor counts.
+LARGER, SMALLEST, SURE, MEMORY = 1.5, 1.05, 1e-4, 20.0
 # Chi-squared per sample that is larger by more is no louder noise of the same sensor, five times at most.
 LOUDEST = 25.0
 # Share of what is beyond the noise there that errors of the parameters have to explain, to be said to do so.
@@ -62,7 +63,7 @@ def fresh_misfit(repair: Repair) -> str | None:
         )
     found = fresh.gap.chi2_per_sample
     far = fresh.parameters_p is not None and fresh.parameters_p < SURE
-    if far and found > LARGER * own.chi2_per_sample:
+    if far and _beyond(repair, found, least=SMALLEST):
         return (
             f"the fresh data do not fit: {where}, and they ask for other parameters than the fit's, beyond their errors"
             f" (p {fresh.parameters_p:.2g})"
@@ -111,31 +112,46 @@ def fresh_doubt(repair: Repair) -> str | None:
     )
 
 
-def _beyond(repair: Repair, found: float, own: float | None = None, outputs: int = 1) -> bool:
+def _beyond(
+    repair: Repair, found: float, own: float | None = None, outputs: int = 1, *, least: float = LARGER
+) -> bool:
     """True if a chi-squared per sample of the fresh data is larger than that of the search, beyond chance.
 
-    own : of the search, of one of so many outputs; None for that of all
+    own : of the search, of one of so many outputs; None for that of all; least : the factor from which on it is larger
     """
     gaps, noise = repair.gaps, repair.noise
     if gaps is None or gaps.validation_after is None or noise is None:
         return False
     first, fresh = gaps.estimation_after.gap, gaps.validation_after.gap
-    return beyond_chance(found, fresh.samples, first, coloured=bool(noise.colour), own=own, outputs=outputs)
+    coloured = bool(noise.colour)
+    if not coloured and _least_white(repair) < SURE:
+        least = SMALLEST
+    return beyond_chance(
+        found, fresh.samples, first, coloured=coloured, own=own, outputs=outputs, least=least
+    )
 
 
 def beyond_chance(
-    found: float, samples: int, first: Gap, *, coloured: bool, own: float | None = None, outputs: int = 1
+    found: float,
+    samples: int,
+    first: Gap,
+    *,
+    coloured: bool,
+    own: float | None = None,
+    outputs: int = 1,
+    least: float = LARGER,
 ) -> bool:
     """True if a chi-squared per sample of so many fresh ones is larger than that of the search, beyond chance.
 
     first : the gap of the search; own : chi-squared per sample there of one of so many outputs; None for that of all
+    least : the factor from which on it is larger
     """
     own = first.chi2_per_sample if own is None else own
     # where rounding counts as a larger noise, the residual is worth fewer samples by as much
     memory = max(MEMORY if coloured else 1.0, 1 / max(first.chi2_per_sample, _TINY))
     fresh, known = (max(count / outputs / memory, 1.0) for count in (samples, first.samples))
     ratio = found / own if own > 0 else 0.0
-    return ratio > LARGER and outputs * f_sf(ratio, fresh, known) < SURE
+    return ratio > least and outputs * f_sf(ratio, fresh, known) < SURE
 
 
 def _of_output(repair: Repair, output: str) -> tuple[float, float, float]:
@@ -167,9 +183,7 @@ def _worst(repair: Repair) -> str | None:
 def _more_than_noise(repair: Repair) -> float | None:
     """How often chance would leave the fresh residual as far from white as it is, or as large where no noise is so much
     louder; None where it may be louder noise."""
-    after = None if repair.gaps is None else repair.gaps.validation_after
-    every = [] if after is None else [p for own in after.whiteness_p.values() for p in own.values()]
-    least = min((p for p in every if p is not None), default=1.0)
+    after, least = None if repair.gaps is None else repair.gaps.validation_after, _least_white(repair)
     if least < SURE:
         return least
     if repair.gaps is None or after is None:
@@ -177,6 +191,13 @@ def _more_than_noise(repair: Repair) -> float | None:
     first, _, left = _in_all(repair)
     samples = repair.gaps.estimation_after.gap.samples, after.gap.samples
     return f_sf(left / first, samples[1], samples[0]) if left > LOUDEST * first > 0 else None
+
+
+def _least_white(repair: Repair) -> float:
+    """How often chance would leave the fresh residual as far from white, of the output in which it is farthest."""
+    after = None if repair.gaps is None else repair.gaps.validation_after
+    every = [] if after is None else [p for own in after.whiteness_p.values() for p in own.values()]
+    return min((p for p in every if p is not None), default=1.0)
 
 
 def is_louder(repair: Repair) -> bool:
