@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.final_check import printed_cost, residual, response
+from casadi_engine.estimation.predictor import output_stride
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.same_response import same_response
 from casadi_engine.estimation.search import Search
@@ -42,6 +43,10 @@ _RISES = 1.0
 _HEAD, _LONG = 1000, 4
 # Standard deviations by which first samples deny a first state.
 _SEEN = 5.0
+# Units of angles, and a turn in them.
+_TURN = {"rad": 2 * np.pi, "deg": 360.0}
+# Units of frequencies, and in them one of a swing a second; share by which steps are equal.
+_RATE, _EQUAL = {"rad/s": 2 * np.pi, "Hz": 1.0}, 1e-6
 # Coordinates within which two ends are one; and the information on a first state, on its scale, that says so.
 _SAME, _TOLD = 1e-2, _ALIKE / 1e-4
 
@@ -49,11 +54,14 @@ _SAME, _TOLD = 1e-2, _ALIKE / 1e-4
 @dataclass(frozen=True)
 class Move:
     """What is done to an optimum: numbers of parameters that are exchanged, by pairs, of those that take the other
-    sign, and of states that begin with the other sign, in all records."""
+    sign, and of states that begin with the other sign, in all records; angles that are turned, and frequencies that
+    look alike at the samples, each with what is added."""
 
     pairs: tuple[tuple[int, int], ...] = ()
     signs: tuple[int, ...] = ()
     states: tuple[int, ...] = ()
+    turns: tuple[tuple[int, float], ...] = ()
+    aliases: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -135,6 +143,8 @@ def _twins(
             own = [search.model.states[i].name for i in move.states]
             signs = (*(names[k] for k in move.signs), *(f"the first {name}" for name in own))
             pairs = tuple((names[i], names[j]) for i, j in move.pairs)
+            if move.turns:
+                signs = ()
             values = () if pairs or signs else _differing(search, v, exchange.v)
             yield Twin(pairs, signs, exchange.v, tuple(exchange.starts), higher, values)
 
@@ -186,6 +196,8 @@ def _moved(search: Search, v: Array, starts: Sequence[Array], move: Move) -> tup
     for i, j in move.pairs:
         z[[i, j]] = z[[j, i]]
     z[list(move.signs)] *= -1
+    for k, amount in (*move.turns, *move.aliases):
+        z[k] += amount
     own = [one.copy() for one in starts]
     for start in own:
         start[list(move.states)] *= -1
@@ -211,7 +223,7 @@ class _Exchange:
         self.v, self.starts, self.first = np.zeros(0), starts, np.zeros(0)
         self._begins = bool(move.states)
         at = len(search.pmap.free)
-        self._held = [*move.signs, *(k for pair in move.pairs for k in pair)]
+        self._held = [*move.signs, *(k for pair in move.pairs for k in pair), *(k for k, _ in move.turns)]
         for start in starts:
             self._held += [at + i for i in move.states]
             at += len(start)
@@ -319,12 +331,14 @@ def _least_squares(gradient: Array, matrix: Array, free: NDArray[np.bool_]) -> A
 
 def _moves(search: Search, v: Array, starts: Sequence[Array]) -> Iterator[Move]:
     """Pairs of free parameters, by their numbers, that have one unit; what may have the other sign: parameters, and of
-    models in which they do not enter in lines first states, each alone and all together, beside each other too; then
-    two pairs at once, as a resistance and a capacity of one branch are exchanged with those of another."""
+    models in which they do not enter in lines first states, each alone and all together, beside each other too; angles
+    that go on by a turn, or by half of one where something takes the other sign, as the phase of a swing does; then two
+    pairs at once, as a resistance and a capacity of one branch are exchanged with those of another."""
     units = [search.parameters[name.split("@")[0]].unit for name in search.pmap.free]
     pairs = [(i, j) for i, j in combinations(range(len(units)), 2) if units[i] == units[j]]
     yield from (Move((pair,)) for pair in pairs)
     z, states = search.coordinates.values(v), list[tuple[int, ...]]()  # none of what enters in lines
+    step = _sampled_every(search)
     if not all(record.linear for record in search.records):
         states = _each_and_all(np.any([start != 0 for start in starts], axis=0))
     either = (search.pmap.lower <= -z) & (-z <= search.pmap.upper) & (z != 0)
@@ -332,7 +346,24 @@ def _moves(search: Search, v: Array, starts: Sequence[Array]) -> Iterator[Move]:
     yield from (Move(signs=own) for own in signs)
     yield from (Move(states=own) for own in states)
     yield from (Move(signs=own, states=other) for own in signs for other in states)
+    for k, turn in ((k, _TURN[unit]) for k, unit in enumerate(units) if unit in _TURN):
+        if abs(z[k]) > turn / 2:  # an angle within half a turn of 0 is meant as it is
+            yield from (Move(turns=((k, side * turn),)) for side in (1, -1))
+        halves = [Move(turns=((k, side * turn / 2),)) for side in (1, -1)]
+        yield from (replace(half, signs=own) for half in halves for own in signs if k not in own)
+    for k, rate in ((k, _RATE[unit] / step) for k, unit in enumerate(units) if step and unit in _RATE):
+        amounts = (rate - 2 * z[k], rate, -rate, -rate - 2 * z[k])
+        if abs(z[k]) > rate / 2:  # below half the rate of samples a frequency is meant as it is
+            yield from (Move(aliases=((k, amount),)) for amount in amounts if z[k] * (z[k] + amount) > 0)
     yield from (Move(both) for both in combinations(pairs, 2) if len({*both[0], *both[1]}) == 4)
+
+
+def _sampled_every(search: Search) -> float | None:
+    """Seconds from one sample of the outputs to the next, of all records; None where they are not equal."""
+    grids = [record.grid for record in search.records]
+    steps = [output_stride(grid) * grid.step for grid in grids]
+    alike = all(grid.uniform for grid in grids) and max(steps) - min(steps) < _EQUAL * max(steps)
+    return steps[0] if alike and steps[0] > 0 else None
 
 
 def _each_and_all(which: NDArray[np.bool_]) -> list[tuple[int, ...]]:

@@ -301,3 +301,51 @@ def test_the_head_of_a_record_is_its_beginning():
         own = longer.ravel()[whole.observation.where["y"]][:100]
         assert shorter.ravel()[head.observation.where["y"]] == pytest.approx(own, abs=1e-9)
         assert whole.head(400, np.ones(1)) is whole
+
+
+def swinging(start, **options):
+    """x' = -k x + A sin(2 t + phase) of 0.4 and 1.3, by SciPy."""
+    b = ce.Blueprint("swing")
+    phase = b.parameter("phase", start, unit="rad", min=-10, max=10)
+    size = b.parameter("A", 1.0, min=options.pop("least", -10), max=10)
+    k = b.parameter("k", 1.0, unit="1/s", min=0)
+    x = b.state("x")
+    b.ode("x", -k * x + size * casadi.sin(2 * b.time + phase))
+    b.output("y", x)
+    y = solve_ivp(lambda s, z: -0.7 * z + 1.3 * np.sin(2 * s + 0.4), (0, 8), [0.0], t_eval=TIME, rtol=1e-9).y[
+        0
+    ]
+    y = y + SIGMA * np.random.default_rng(0).standard_normal(len(TIME))
+    record = ce.Experiment.from_arrays("r", time=TIME, units={"y": "1"}, y=y)
+    return fitted(b.model(), record, initial={"x": 0.0})
+
+
+def test_half_a_turn_of_a_phase_is_the_other_sign_of_its_amplitude():
+    fit = swinging(0.5)
+    assert fit.stderr["phase"] is None
+    assert any("explained as well" in words for words in fit.messages)
+    told = swinging(0.5, least=0)
+    assert abs(told.values["phase"] - 0.4) < 4 * told.stderr["phase"]
+
+
+def test_a_whole_turn_further_is_another_phase():
+    fit = swinging(6.0, least=0)
+    assert fit.values["phase"] == pytest.approx(0.4 + 2 * np.pi, abs=0.1)
+    assert fit.stderr["phase"] is None
+
+
+@pytest.mark.parametrize(("start", "known"), [(2.0, True), (3.5, False)])
+def test_a_frequency_above_half_the_rate_of_the_samples_has_another_one_below(start, known):
+    """Samples once a second of a swing of 2.5 rad/s: 2 pi - 2.5 goes through all of them."""
+    b = ce.Blueprint("oscillator")
+    w, z = b.parameter("w", start, unit="rad/s", min=0.1, max=50), b.parameter("z", 0.1, unit="1/s", min=0)
+    x, v = b.state("x"), b.state("v", unit="1/s")
+    b.ode("x", v)
+    b.ode("v", -(w**2 + z**2) * x - 2 * z * v)
+    b.output("y", x)
+    time = np.arange(25.0)
+    y = np.exp(-0.05 * time) * np.cos(2.5 * time) + SIGMA * np.random.default_rng(1).standard_normal(25)
+    record = ce.Experiment.from_arrays("r", time=time, units={"y": "1"}, y=y)
+    fit = fitted(b.model(), record, initial=None)
+    assert fit.values["w"] == pytest.approx(2.5 if known else 2 * np.pi - 2.5, abs=0.02)
+    assert (fit.stderr["w"] is not None) == known
