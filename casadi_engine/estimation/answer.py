@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.constraints import Priors
 from casadi_engine.estimation.doubted import judged
 from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, residual, response, verdict
 from casadi_engine.estimation.fit import Fit, Innovations, Optimum, Trace
@@ -35,6 +36,8 @@ _SEEN = 1.05
 _EFFECTIVE = 20
 # An integration error that may move an estimate by this share of its standard error is said.
 _FELT = 0.1
+# Standard errors between a prior and the data that chance brings once in sixteen thousand fits.
+_CONTRADICTED = 4.0
 
 
 def make_fit(
@@ -86,7 +89,9 @@ def make_fit(
     found = judged(search, best, white, errors, optima, residuals, check=None if stopped else check)
     cost = printed_cost(search, v, residuals)
     noise_words = _noise_words(search, (noises, varied), ratio if errors is not white else None, effective)
-    said = _messages(search, best, errors, reason, optima, stopped, noise_words)
+    said = _messages(search, best, errors, reason, optima, stopped, noise_words) + _against_priors(
+        search, white
+    )
     for (
         record
     ) in search.records:  # last, for the drives of a long record take as much memory as what came before
@@ -294,6 +299,21 @@ def _messages(
         done = sum(optimum.starts for optimum in optima if optimum.status == "converged")
         what = f"the best of {done} optima so far" if done else "the best point so far, not an optimum"
         found.append(f"stopped by {stopped}: this is {what}")
+    return tuple(found)
+
+
+def _against_priors(search: Search, errors: Uncertainty) -> tuple[str, ...]:
+    """Priors that the data and all else that is known contradict, with white noise."""
+    priors, nv = search.problem.priors, search.problem.nv
+    if not isinstance(priors, Priors) or not priors.count or not errors.optimal:
+        return ()
+    apart = priors.apart(errors.v, errors.covariance.matrix[:nv, :nv])
+    found = [
+        f"the prior of {own.label} ({own.mean:.4g} ± {own.sigma:.2g}) and the data are {abs(far):.2g} standard errors "
+        "apart: the prior is wrong, or the model is; the estimates and ± count with both"
+        for own, far in zip(search.pmap.priors, apart.tolist(), strict=True)
+        if abs(far) > _CONTRADICTED
+    ]
     return tuple(found)
 
 

@@ -146,6 +146,10 @@ def _frequencies(model: Model, pmap: ParameterMap, coordinates: Coordinates) -> 
     return found
 
 
+# Share of a prior's variance by which data have to know its quantity better, to say anything of it.
+_TOLD = 1e-6
+
+
 class Priors:
     """Normal priors: half the sum of ((g - mean)/sigma)^2, with exact derivatives."""
 
@@ -157,9 +161,21 @@ class Priors:
         cost = 0.5 * ca.dot(residual, residual) if rows else ca.SX(0)
         hessian, gradient = ca.hessian(cost, v) if v.numel() else (ca.SX(0, 0), ca.SX(0, 1))
         jacobian = ca.jacobian(residual, v)
+        self._residuals = ca.Function("apart", [v], [ca.densify(residual), ca.densify(jacobian)])
         self._function = ca.Function(
             "priors", [v], [cost, ca.densify(gradient), ca.densify(hessian), ca.densify(jacobian)]
         )
+
+    def apart(self, v: Array, covariance: Array) -> Array:
+        """(count,) standard errors by which each prior and all else that the fit knows are apart, nan where that says
+        nothing: by how much the estimate has left the mean, which a prior that agrees lets it do within the root of
+        what it knows less than the fit. covariance : (nv, nv) of the fit"""
+        if not self.count:
+            return np.zeros(0)
+        left, rows = (np.asarray(part) for part in self._residuals(v))
+        told = 1.0 - np.einsum("ka,ab,kb->k", rows, covariance, rows)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(told > _TOLD, left.ravel() / np.sqrt(told), np.nan)
 
     def evaluate(self, v: Array) -> tuple[float, Array, Array, Array]:
         """Cost, gradient (nv,), Hessian (nv, nv) and Gauss-Newton Hessian (nv, nv)."""

@@ -52,6 +52,7 @@ class Found:
     minimum : v (nv,), with the band's squares and those above it by their quadratic; information : (nv, nv) of all bins
     hertz, kept, bins : the band, its number of bins and that of all; share : of the information above it
     strayed : of a search beside a known optimum, True if it did not come back to it
+    top : the highest frequency of its bins, of which there are no fewer than parameters ask for
     """
 
     minimum: Minimum
@@ -61,6 +62,7 @@ class Found:
     bins: int
     share: float
     strayed: bool = False
+    top: float = 0.0
 
     def scaled(self, share: float) -> Found:
         """The same with all squares times a share: at another noise level."""
@@ -69,8 +71,9 @@ class Found:
     def __str__(self) -> str:
         if self.kept == self.bins:
             return f"all {self.bins} frequency bins"
+        top = max(self.hertz, self.top)
         return (
-            f"{self.kept} of {self.bins} frequency bins up to {self.hertz:.4g} Hz; the others by their quadratic "
+            f"{self.kept} of {self.bins} frequency bins up to {top:.4g} Hz; the others by their quadratic "
             f"({100 * self.share:.2g} % of the information)"
         )
 
@@ -225,7 +228,7 @@ class SpectralSearch:
             return None
         told.again()
         if not first.converged or band.kept == band.bins:
-            return Found(first, first.squares.matrix, hertz, band.kept, band.bins, 0.0)
+            return Found(first, first.squares.matrix, hertz, band.kept, band.bins, 0.0, top=band.top)
         return self.in_all_bins(first, band, steps, told)
 
     def in_all_bins(
@@ -254,7 +257,7 @@ class SpectralSearch:
             share = largest_share(whole.matrix, part.matrix)
             if ahead.cost > most:
                 high = replace(last, squares=ahead)
-                return Found(high, whole.matrix, band.hertz, band.kept, band.bins, share)
+                return Found(high, whole.matrix, band.hertz, band.kept, band.bins, share, top=band.top)
             near = minimise(
                 with_rest(band, difference(whole, part), at), at, fall=_FALL, steps=max(left, 1),
                 damping=_NEAR, stop=lambda cost: told(cost) or there(band.at), **self.limits,
@@ -263,7 +266,7 @@ class SpectralSearch:
                 return None
             left -= near.steps
             last = Minimum(near.x, near.squares, steps - left, near.converged)
-            found = Found(last, whole.matrix, band.hertz, band.kept, band.bins, share)
+            found = Found(last, whole.matrix, band.hertz, band.kept, band.bins, share, top=band.top)
             moved = near.x - at
             if not near.converged or there(near.x) or moved @ whole.matrix @ moved < _MOVED:
                 break
@@ -274,8 +277,15 @@ class Band:
     """The problem on the bins below a frequency; remembers the point ``at`` that it was asked for last."""
 
     def __init__(self, search: SpectralSearch, hertz: float) -> None:
-        self._search, self.hertz = search, hertz
-        self.kept = sum(record.below(hertz).stop for record in search.records)
+        parts = [record.below(hertz) for record in search.records]
+        # no fewer bins than parameters ask for, which a short record has at higher frequencies
+        tops = [
+            record.hertz[part.stop - 1]
+            for record, part in zip(search.records, parts, strict=True)
+            if part.stop
+        ]
+        self._search, self.hertz, self.top = search, hertz, max([hertz, *map(float, tops)])
+        self.kept = sum(part.stop for part in parts)
         self.bins = sum(record.size for record in search.records)
         self._found: tuple[Array, Squares | None] | None = None
 

@@ -32,7 +32,8 @@ _OTHERS: dict[str, tuple[str, str, int, str, bool]] = {
     "mmHg": ("Pa", "133.322387415", 0, "0", False), "psi": ("Pa", "6894.757293168361", 0, "0", False),
     "min": ("s", "60", 0, "0", False), "h": ("s", "3600", 0, "0", False), "d": ("s", "86400", 0, "0", False),
     "rpm": ("rad s-1", "1/30", 1, "0", False), "rev": ("rad", "2", 1, "0", False),
-    "deg": ("rad", "1/180", 1, "0", False), "degC": ("K", "1", 0, "273.15", False),
+    "deg": ("rad", "1/180", 1, "0", False), "gon": ("rad", "1/200", 1, "0", False),
+    "degC": ("K", "1", 0, "273.15", False),
     "degF": ("K", "5/9", 0, "45967/180", False), "%": ("", "1/100", 0, "0", False),
     "ppm": ("", "1/1000000", 0, "0", False), "M": ("mol m-3", "1000", 0, "0", True),
     "gn": ("m s-2", "9.80665", 0, "0", False), "in": ("m", "0.0254", 0, "0", False),
@@ -41,7 +42,9 @@ _OTHERS: dict[str, tuple[str, str, int, str, bool]] = {
     "cal": ("J", "4.184", 0, "0", True), "Wh": ("J", "3600", 0, "0", True), "Ah": ("A s", "3600", 0, "0", True),
     "eV": ("J", "1.602176634e-19", 0, "0", True), "PS": ("W", "735.49875", 0, "0", False),
 }  # fmt: skip
-_SAME = {"l": "L", "\u03a9": "Ohm", "\u2126": "Ohm", "ohm": "Ohm", "°": "deg", "°C": "degC", "°F": "degF"}
+_SAME = {
+    "l": "L", "\u03a9": "Ohm", "\u2126": "Ohm", "ohm": "Ohm", "°": "deg", "°C": "degC", "°F": "degF", "grad": "gon",
+}  # fmt: skip
 _CLOCKS = ("min", "h", "d")
 
 # Long names and wrong spellings that have one meaning.

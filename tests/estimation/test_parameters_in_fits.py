@@ -253,6 +253,19 @@ def test_a_prior_determines_what_the_data_do_not(line, line_data):
     assert fit.correlation[0, 1] < -0.9
 
 
+@pytest.mark.parametrize("off", [0.0, 6.0])
+def test_a_prior_that_the_data_contradict_is_named(line, line_data, off):
+    """``off`` standard errors, of both, from what the data say alone."""
+    made = line_data()
+    free = fitted(line(), made.data)
+    own, sigma = free.stderr["p1"], 0.5 * free.stderr["p1"]
+    pars = line().parameters()
+    pars["p1"].set(prior=(free.values["p1"] + off * float(np.hypot(own, sigma)), sigma))
+    said = [words for words in fitted(line(), made.data, pars).messages if "the prior of p1" in words]
+    assert len(said) == (off > 4)
+    assert all("are 6 standard errors apart" in words for words in said)
+
+
 def test_an_initial_state_that_nothing_shows_is_named(run_up):
     # Two free inertias that are not coupled: the load's speed does not reach the measured one.
     b = ce.Blueprint("apart")
