@@ -80,6 +80,7 @@ from casadi_engine.discrepancy.short_delays import with_short_delays
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.too_few import held_to_what_fresh_data_tell
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, imitators, unknown_law
+from casadi_engine.discrepancy.unseen_events import held_to_seen_events
 from casadi_engine.discrepancy.vanishing import may_vanish
 from casadi_engine.discrepancy.verdict_words import may_hide
 from casadi_engine.discrepancy.withdrawal import held_to_rivals
@@ -336,7 +337,8 @@ class Answer:
         if asks_for_one(done, last.effects):
             refitter = self.search.refits.refitter
             done = self._in_time("all records", lambda: with_joint_fit(done, refitter)) or done
-        return held_to_rivals(held_to_what_fresh_data_tell(held_to_fresh_data(done)))
+        done = held_to_rivals(held_to_what_fresh_data_tell(held_to_fresh_data(done)))
+        return held_to_seen_events(done, last.effects)
 
     def _is_far(self, last: Station) -> bool:
         """See ``law_refit.is_far``."""
