@@ -124,8 +124,6 @@ def _beyond(
         return False
     first, fresh = gaps.estimation_after.gap, gaps.validation_after.gap
     coloured = bool(noise.colour)
-    if not coloured and _least_white(repair) < SURE:
-        least = SMALLEST
     return beyond_chance(
         found, fresh.samples, first, coloured=coloured, own=own, outputs=outputs, least=least
     )
@@ -175,7 +173,8 @@ def _worst(repair: Repair) -> str | None:
     beyond = {}
     for name in known:
         own, _, left = _of_output(repair, name)
-        if _beyond(repair, left, own, len(known)):
+        white = repair.noise.colour or _least_white(repair, name) >= SURE
+        if _beyond(repair, left, own, len(known), least=LARGER if white else SMALLEST):
             beyond[name] = left / own
     return max(beyond, key=lambda name: beyond[name], default=None)
 
@@ -193,10 +192,12 @@ def _more_than_noise(repair: Repair) -> float | None:
     return f_sf(left / first, samples[1], samples[0]) if left > LOUDEST * first > 0 else None
 
 
-def _least_white(repair: Repair) -> float:
-    """How often chance would leave the fresh residual as far from white, of the output in which it is farthest."""
+def _least_white(repair: Repair, output: str | None = None) -> float:
+    """How often chance would leave the fresh residual as far from white, of an output; of that in which it is
+    farthest."""
     after = None if repair.gaps is None else repair.gaps.validation_after
-    every = [] if after is None else [p for own in after.whiteness_p.values() for p in own.values()]
+    rows = [] if after is None else [one for own in after.whiteness_p.values() for one in own.items()]
+    every = [p for name, p in rows if output in (None, name)]
     return min((p for p in every if p is not None), default=1.0)
 
 

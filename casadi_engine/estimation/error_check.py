@@ -35,6 +35,7 @@ from casadi_engine.estimation.beside_optimum import (
 from casadi_engine.estimation.dichotomy import grows
 from casadi_engine.estimation.doubt import CALL, FLAT, RUGGED, Doubt
 from casadi_engine.estimation.exchanged import linear_residual
+from casadi_engine.estimation.few_samples import interpolated
 from casadi_engine.estimation.final_check import printed_cost, residual, response
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.foreseen_ends import FAR, RISES, Rises
@@ -89,7 +90,7 @@ def doubts_of(
     rises: dict[str, Rises] = {}
     of_states: dict[int, Rises] = {}
     found = rivals(search, best, errors, optima)
-    found += lost(search, errors, residuals)
+    found += lost(search, errors, residuals) + interpolated(search, errors)
     found += [] if found else exchanged(search, errors)
     if growing(search, best) is None:
         around = _Around(search, best, errors, residuals)

@@ -13,16 +13,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.estimation.doubt import Doubt
 from casadi_engine.estimation.search import Search
-from casadi_engine.estimation.taken import are_few, grams_of
+from casadi_engine.estimation.taken import are_few, grams_of, taken
 
 if TYPE_CHECKING:
     from casadi_engine.estimation.standard_errors import Uncertainty
 
 Array = NDArray[np.float64]
 
-# A level has at least so many degrees of freedom.
-_LEAST = 1.0
+# A level has at least so many degrees of freedom; and of fewer than the second it is no level, for the fit may have
+# made it as small as it likes.
+_LEAST, _KNOWN = 1.0, 1.5
+# How that is said.
+UNKNOWN = "is not known, and so no error"
 
 
 def freedom_of(search: Search, errors: Uncertainty) -> float:
@@ -41,3 +45,22 @@ def freedom_of(search: Search, errors: Uncertainty) -> float:
     unsure = (np.square(shares)[estimated] / freedom[estimated, None]).sum(axis=0)
     told = (whole > 0) & np.isfinite(unsure) & (unsure > 0)
     return min(pooled, float((whole[told] ** 2 / unsure[told]).min(initial=pooled)))
+
+
+def interpolated(search: Search, errors: Uncertainty) -> list[Doubt]:
+    """Outputs with an estimated level of whose samples the parameters leave next to none to tell it: the fit goes
+    through them, with a level near 0 that draws all else to them."""
+    if not are_few(search) or not errors.optimal:
+        return []
+    own, counts = taken(search, errors.x), search.levels.counts
+    if own is None:
+        return []
+    found = []
+    for k, name in enumerate(search.levels.outputs):
+        if search.levels.estimated[k] and counts[k] - own[k] < _KNOWN:
+            text = (
+                f"the noise level of {name} {UNKNOWN}: of its {counts[k]} samples parameters and "
+                f"initial states take {own[k]:.3g}; state it, noise=ce.Noise({name}=...)"
+            )
+            found.append(Doubt("lost", text, np.zeros(len(errors.covariance.matrix))))
+    return found

@@ -11,6 +11,7 @@ import numpy as np
 
 from casadi_engine.estimation.behind_a_bound import NOT_TOLD
 from casadi_engine.estimation.faulty_samples import IN_DOUBT, faults
+from casadi_engine.estimation.few_samples import UNKNOWN
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
@@ -436,7 +437,9 @@ def next_steps(fit: Fit) -> list[str]:
         )
     elif len(converged) > 1 and min(converged, key=lambda optimum: optimum.cost).starts == 1:
         steps.append("only one search found the lowest cost: repeat with starts=32")
-    if fit.doubted:
+    if any(UNKNOWN in words for words in fit.messages):
+        steps.append("state the noise level that is not known, as noted above, and fit again")
+    elif fit.doubted:
         steps.append("the errors that the data do tell: print(ce.posterior(fit))")
     if not steps:
         steps.append(FRESH)

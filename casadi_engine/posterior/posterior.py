@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
+from casadi_engine.estimation.few_samples import UNKNOWN
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import check_likelihood, chosen, whole
 from casadi_engine.posterior.box import Box
@@ -244,6 +245,14 @@ def _improper(seen: str) -> PosteriorError:
 def _check(fit: Any) -> None:
     """Raise PosteriorError for what has no posterior here."""
     check_likelihood(fit, "a posterior", PosteriorError)
+    unknown = next((words for words in fit.messages if UNKNOWN in words), None)
+    if unknown is not None:
+        raise PosteriorError(
+            "a noise level is not told by the samples that are left of its output",
+            seen=unknown.partition("; state it")[0],
+            allowed="more samples than parameters and initial states take of them, or a level that is known",
+            cure="state the level, noise=ce.Noise(...), and fit again",
+        )
     if fit.innovations is not None:
         raise PosteriorError(
             "the posterior of a model with a predictor is not available",

@@ -19,7 +19,8 @@ def fit(**values):
         estimates={
             name: SimpleNamespace(value=value, stderr=error, unit="g")
             for name, (value, error) in values.items()
-        }
+        },
+        parameters=dict.fromkeys(values, SimpleNamespace(min=0.0, max=100.0)),
     )
 
 
@@ -33,6 +34,15 @@ def test_what_another_name_makes_of_the_parameters_is_told():
     (words,) = told_by_member([found(Member(*RESISTANCE, -1.0, 0.5))], frozenset({GAIN}), values, one)
     place = "with wrong_value at Re in the place of sensor_gain at i"
     assert words == f"values and ± hold only for the names that lead: {place} M is 14.01 g"
+
+
+def test_what_lies_beyond_a_bound_is_that_of_the_refit():
+    """Along a flat valley two refits differ by more than the value of the fit."""
+    values = {frozenset({GAIN}): {"M": 60.0}, frozenset({RESISTANCE}): {"M": 20.0}}
+    (words,) = told_by_member(
+        [found(Member(*RESISTANCE, -1.0, 0.5))], frozenset({GAIN}), values, fit(M=(5.0, 1.0))
+    )
+    assert words.endswith("M is 20 g")
 
 
 def test_two_in_the_place_of_one():

@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import t as student
 
 import casadi_engine as ce
+from casadi_engine.errors import PosteriorError
 
 
 def two_means(many, few, *, known=False, seed=0):
@@ -52,3 +53,30 @@ def test_intervals_of_students_t_cover():
         one = two_means(200, 6, seed=seed).estimates["two"]
         inside += abs(one.value - 3) < student.ppf(0.975, 5) * one.stderr
     assert 180 <= inside <= 198
+
+
+def test_a_level_that_parameters_leave_no_sample_for_is_not_known():
+    """Two samples of an output with a gain and an offset of its own: the fit goes through them."""
+    b = ce.Blueprint("decay")
+    k, s = b.parameter("k", 0.5, unit="1/s", min=0.01, max=10), b.parameter("s", 1.5, min=-100, max=100)
+    o, x = b.parameter("o", 0.5, min=-100, max=100), b.state("x")
+    b.ode("x", -k * x)
+    b.output("y1", x)
+    b.output("y2", s * x + o)
+    time = np.linspace(0, 5, 60)
+    rng, true = np.random.default_rng(0), 3 * np.exp(-0.6 * time)
+    few = np.where(np.isin(np.arange(60), (5, 20, 45)), 2 * true + 1 + 0.1 * rng.standard_normal(60), np.nan)
+    data = ce.Experiment.from_arrays(
+        "r", time=time, units={"y1": "1", "y2": "1"}, y1=true + 0.05 * rng.standard_normal(60), y2=few
+    )
+    fit = ce.estimate(b.model(), data, progress=False)
+    assert fit.converged
+    assert set(fit.stderr.values()) == {None}
+    assert any(
+        words.startswith("the noise level of y2 is not known, and so no error") for words in fit.messages
+    )
+    assert "Next: state the noise level that is not known" in str(fit)
+    with pytest.raises(PosteriorError, match="not told by the samples that are left"):
+        ce.posterior(fit)
+    known = ce.estimate(b.model(), data, noise=ce.Noise(y1="estimate", y2=0.1), progress=False)
+    assert abs(known.values["o"] - 1) < 4 * known.stderr["o"]
