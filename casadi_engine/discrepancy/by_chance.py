@@ -26,9 +26,10 @@ def held_to_chance(repair: Repair) -> Repair:
     tests, fresh = _tests(repair), _p_of_fresh_data(repair)
     what = min(tests, key=lambda name: tests[name])
     against = "" if fresh is None else f" (p = {fresh:.2g}, of both together {_both(tests[what], fresh):.2g})"
+    beyond = "is beyond chance on" if tests[what] < repair.alpha else "came by a refit to"
     words = (
-        f"{what} is beyond chance on the data of the search (p = {tests[what]:.2g}), and fresh data do not confirm "
-        f"it{against}: then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
+        f"{what} {beyond} the data of the search (p = {tests[what]:.2g}), and fresh data do not confirm it{against}: "
+        f"then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
     )
     bare = withdrawn(repair, UNCONFIRMED, None, words)
     sure = (

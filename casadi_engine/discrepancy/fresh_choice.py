@@ -16,7 +16,7 @@ from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge, residuals, side, told_by_both
 from casadi_engine.discrepancy.fresh_fits import fresh_sides
-from casadi_engine.discrepancy.fresh_misfit import LOUDEST, SEEN, SURE, beyond_chance
+from casadi_engine.discrepancy.fresh_misfit import LOUDEST, MEMORY, SEEN, SURE, beyond_chance
 from casadi_engine.discrepancy.fresh_weights import WIDER, FreshWeights
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
@@ -313,7 +313,7 @@ class FreshChoice:
         own, fresh = gap_of([station.screened.null], noise), gap_of([null for _, null in pairs], noise)
 
         def ratio(found: float) -> float:
-            beyond = beyond_chance(found, fresh.samples, own, coloured=bool(noise.colour))
+            beyond = beyond_chance(found, fresh.samples, own, memory=MEMORY if noise.colour else 1.0)
             return found / min(own.chi2_per_sample, 1.0) if beyond else 1.0
 
         whole = ratio(fresh.chi2_per_sample)

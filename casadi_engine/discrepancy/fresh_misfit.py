@@ -6,8 +6,11 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from casadi_engine.discrepancy.confirmation import Gap, share_closed
 from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Unknown
+from casadi_engine.discrepancy.selection import numbers_of
 from casadi_engine.discrepancy.withdrawal import withdrawn
 from casadi_engine.distributions import f_sf
 
@@ -123,10 +126,20 @@ def _beyond(
     if gaps is None or gaps.validation_after is None or noise is None:
         return False
     first, fresh = gaps.estimation_after.gap, gaps.validation_after.gap
-    coloured = bool(noise.colour)
-    return beyond_chance(
-        found, fresh.samples, first, coloured=coloured, own=own, outputs=outputs, least=least
-    )
+    memory = _memory(repair) if noise.colour else 1.0
+    return beyond_chance(found, fresh.samples, first, memory=memory, own=own, outputs=outputs, least=least)
+
+
+def _memory(repair: Repair) -> float:
+    """How many samples of the coloured noise tell its size as well as one of white noise, twice over: as it is on the
+    data of the search, of the output in which it is longest."""
+    assert repair.gaps is not None
+    found = 1.0
+    for traces in repair.gaps.estimation_after.traces.values():
+        for trace in traces.values():
+            e = trace.residual[np.isfinite(trace.residual)]
+            found = max(found, len(e) / (2 * numbers_of(e))) if len(e) else found
+    return min(2 * found, MEMORY) if found > 1 else MEMORY
 
 
 def beyond_chance(
@@ -134,7 +147,7 @@ def beyond_chance(
     samples: int,
     first: Gap,
     *,
-    coloured: bool,
+    memory: float,
     own: float | None = None,
     outputs: int = 1,
     least: float = LARGER,
@@ -142,11 +155,11 @@ def beyond_chance(
     """True if a chi-squared per sample of so many fresh ones is larger than that of the search, beyond chance.
 
     first : the gap of the search; own : chi-squared per sample there of one of so many outputs; None for that of all
-    least : the factor from which on it is larger
+    memory : how many samples of the noise count for one; least : the factor from which on it is larger
     """
     own = first.chi2_per_sample if own is None else own
     # where rounding counts as a larger noise, the residual is worth fewer samples by as much
-    memory = max(MEMORY if coloured else 1.0, 1 / max(first.chi2_per_sample, _TINY))
+    memory = max(memory, 1 / max(first.chi2_per_sample, _TINY))
     fresh, known = (max(count / outputs / memory, 1.0) for count in (samples, first.samples))
     ratio = found / own if own > 0 else 0.0
     return ratio > least and outputs * f_sf(ratio, fresh, known) < SURE

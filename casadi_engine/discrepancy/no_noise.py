@@ -10,7 +10,7 @@ from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.selection import effective_samples
+from casadi_engine.discrepancy.selection import effective_samples, numbers_of
 
 # Independent samples that a coloured residual has to be worth to be called noise, and per cent of an output's motion
 # that what its own past foretells of it may be.
@@ -31,6 +31,11 @@ def why_no_noise(
         return (
             f"what the model leaves of {output} in {record} changes as slowly as if the record held "
             f"{swings:.0f} independent samples: {_NOT_NOISE}"
+        )
+    if (swings := numbers_of(e)) < _SWINGS:
+        return (
+            f"what the model leaves of {output} in {record} swings on and on, as if the record held {swings:.0f} "
+            f"independent samples: {_NOT_NOISE}"
         )
     if explained is None:
         return None

@@ -29,6 +29,17 @@ def effective_samples(residual: Array, *, lags: int | None = None) -> float:
     return float(np.clip(count / (1 + 2 * rho[1 : stop + 1].sum()), 1.0, count))
 
 
+def numbers_of(e: Array) -> float:
+    """How many independent numbers the size of a residual (N,) is told by: N over the sum of its squared correlations
+    over all lags, to both sides, which is as large for a swing that does not die out as for one that is slow."""
+    e, count = e - e.mean(), len(e)
+    power = float(e @ e)
+    if count < 3 or power <= 0:
+        return float(count)
+    rho = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * count)) ** 2)[:count] / power
+    return float(count / (2 * float(rho @ rho) - 1))
+
+
 def selection_frequency(
     compressed: Compressed, *, halves: int = _HALVES, seed: int = 0
 ) -> dict[tuple[str, str], float]:

@@ -47,8 +47,10 @@ class Told:
 
 def largest_share(whole: Array, part: Array) -> float:
     """The largest share of the information ``whole`` (n, n) in a direction that ``part`` of it lacks."""
+    if not np.isfinite(whole).all():  # nothing is known there
+        return 1.0
     size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    values, vectors = np.linalg.eigh(whole / np.outer(size, size))
+    values, vectors = np.linalg.eigh(whole / size / size[:, None])
     known = values > BLIND
     turn = vectors[:, known] / np.sqrt(values[known]) / size[:, None]
     return float(np.linalg.eigvalsh(turn.T @ (whole - part) @ turn).max(initial=0.0))
