@@ -19,6 +19,7 @@ from casadi_engine.estimation.fit import Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
 from casadi_engine.estimation.innovations import SizedPriors, loop_of
 from casadi_engine.estimation.integration import integration_of
+from casadi_engine.estimation.lower_optimum import Place
 from casadi_engine.estimation.predictor import output_stride
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.residual_noise import OwnNoise, own_noise, with_own_noise
@@ -139,6 +140,7 @@ def make_fit(
         integration=integration,
         errors=errors.as_prior(),
         own_noise=_by_name(search, ratio),
+        lower=None if found.lower is None else _place(search, found.lower),
         fineness={record.experiment.name: fineness_of(record.propagator) for record in search.records},
         followed=search.too_long(best.solution.x),
     )
@@ -300,6 +302,17 @@ def _messages(
         what = f"the best of {done} optima so far" if done else "the best point so far, not an optimum"
         found.append(f"stopped by {stopped}: this is {what}")
     return tuple(found)
+
+
+def _place(search: Search, x: Array) -> Place:
+    """Variables (size,) as a place to begin at."""
+    v, names = x[: search.problem.nv], [state.name for state in search.model.states]
+    first = {
+        record.experiment.name: dict(zip(names, (lay.take(x)[0] * record.scale).tolist(), strict=True))
+        for record, lay in zip(search.records, search.problem.layouts, strict=True)
+    }
+    values = dict(zip(search.pmap.free, search.coordinates.values(v).tolist(), strict=True))
+    return Place(values, first, search.levels.by_name(search.sigma))
 
 
 def _against_priors(search: Search, errors: Uncertainty) -> tuple[str, ...]:

@@ -28,11 +28,13 @@ _UNKNOWN, _UNEVEN = "not known (see note)", "not symmetric (see note)"
 
 @dataclass(frozen=True)
 class Judged:
-    """Estimates with the errors that hold, initial states likewise, and what is said of those that do not."""
+    """Estimates with the errors that hold, initial states likewise, what is said of those that do not, and variables
+    (size,) at which a profile came below the optimum."""
 
     estimates: dict[str, Estimate]
     initial: dict[str, dict[str, Estimate]]
     said: tuple[str, ...] = ()
+    lower: Array | None = None
 
 
 def judged(
@@ -66,6 +68,7 @@ def judged(
     free = [name for name in search.pmap.free if name in with_error and _of(doubts, slopes[name], matrix)]
     ends: dict[str, tuple[float, float]] = {}
     alike: set[str] = set()
+    below: Array | None = None
     if all(doubt.profiles for doubt in doubts):
         profiles = Profiles(search, best, white, seconds=check, stretch=_stretch(white, errors))
         if all(
@@ -75,8 +78,8 @@ def judged(
             ends = _foreseen(search, profiles, {name: rises[name] for name in plain})
         try:
             ends |= profiles.intervals([name for name in free if name not in ends])
-        except LowerOptimumError:
-            doubts = (_lower(doubts),)
+        except LowerOptimumError as met:
+            doubts, below = (_lower(doubts),), met.x
         alike = {name for name, one in ends.items() if _alike(estimates[name], one, profiles.root)}
     about = {}
     for name in with_error:
@@ -93,7 +96,7 @@ def judged(
     alone = sum(one.starts for one in optima) < _SEVERAL and not all(one.linear for one in search.records)
     if said and ends and alone and any(one.profiles and one.size > FLAT for one in own):
         said[-1] += "; the intervals are of the one optimum that was found: starts=10 looks for others"
-    return Judged(_bent_ties(search, errors, estimates), initial, (*said, *told))
+    return Judged(_bent_ties(search, errors, estimates), initial, (*said, *told), below)
 
 
 def _few(search: Search, errors: Uncertainty) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.late_sensors import begun_late, follow_delays
 from casadi_engine.estimation.loss import read_loss
+from casadi_engine.estimation.lower_optimum import from_lower_places
 from casadi_engine.estimation.lower_rate import ONE_SEARCH, lower_rate
 from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.multistart import attempts_from, distinct_optima, interrupted, settled
@@ -201,6 +202,7 @@ def _followed_up(
     fit = _with_sharp_corners(fit, arguments, again)
     if alone:
         return fit
+    fit = in_time(lambda: from_lower_places(fit, again), lambda: fit)
     fit = in_time(lambda: told_from_their_bounds(fit, arguments["parameters"], again), lambda: fit)
     return replace(fit, messages=(*faults(fit), *fit.messages))
 

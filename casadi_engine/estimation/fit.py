@@ -142,6 +142,7 @@ class Fit:
     own_noise : free parameter, or record/state for an initial state -> by how much its error is larger than that of
     white noise of the fit's levels, as the residual is coloured or larger than stated; 1 where it is neither
     fineness : record -> how finely it was integrated, for a fit that goes on from here
+    lower : a place at which the profile of a parameter came below this optimum, if one did
     followed : length [s] of records along which an unstable motion can be followed, where these are longer
     """
 
@@ -177,6 +178,7 @@ class Fit:
     own_noise: Mapping[str, float] = field(default_factory=dict)
     fineness: Mapping[str, Any] = field(default_factory=dict, repr=False)
     followed: float | None = None
+    lower: Any = field(default=None, repr=False)
 
     def __str__(self) -> str:
         from casadi_engine.estimation.summary import summary

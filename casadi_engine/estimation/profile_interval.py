@@ -37,7 +37,11 @@ _LOWER = 1e-2
 
 
 class LowerOptimumError(Exception):
-    """A refit ended below the optimum of the fit."""
+    """A refit ended below the optimum of the fit, at ``x`` (size,)."""
+
+    def __init__(self, x: Array) -> None:
+        super().__init__()
+        self.x = x
 
 
 def root_of(search: Search, errors: Uncertainty) -> float:
@@ -162,7 +166,7 @@ class Profiles:
         finally:
             self._spent, self._done = self._spent + time.process_time() - begun, self._done + 1
         if rise < -_LOWER:
-            raise LowerOptimumError
+            raise LowerOptimumError(found.x)
         return found.x, max(rise, 0.0)
 
     def _foreseen(self, k: int, value: float, x: Array) -> Array:
