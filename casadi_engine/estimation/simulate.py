@@ -227,8 +227,18 @@ def _fitted_start(
 
 
 def _fitted_grid(model: Model, data: Experiment) -> Grid:
-    """The grid of a fit, from where its initial states hold to the last valid sample of the outputs."""
-    return lay_grid(model, data, outputs=tuple(out.name for out in model.outputs if out.name in data))
+    """The grid of a fit, from where its initial states hold to the last sample of the outputs, whether or not it has a
+    value, as far as the inputs go."""
+    outputs = [data[out.name] for out in model.outputs if out.name in data]
+    fitted = lay_grid(model, data, outputs=tuple(channel.name for channel in outputs))
+    inputs = [data[v.name].span[1] for v in model.inputs]
+    last = min([max(channel.span[1] for channel in outputs), *inputs])
+    if not last > fitted.time[-1] + 0.5 * fitted.step:
+        return fitted
+    for channel in outputs:
+        time = _over(channel, fitted.start, last)
+        data = data.with_channel(Channel(channel.name, channel.unit, time=time, values=np.zeros_like(time)))
+    return lay_grid(model, data, outputs=tuple(channel.name for channel in outputs))
 
 
 def _whole_grid(model: Model, data: Experiment) -> Grid:

@@ -319,7 +319,7 @@ class _Walker:
             self.progress(name, self.refits)
         if not fit.converged:
             return f"{LOST} did not converge: {fit.status}"
-        rise = (fit.cost - self.base) / own.own_noise.get(name, 1.0) ** 2
+        rise = (fit.cost + _of_held(own, fit) - self.base) / own.own_noise.get(name, 1.0) ** 2
         if rise < -_BETTER * max(1.0, self.threshold):
             self.messages.append(
                 f"a refit with {name} = {value:.6g} costs {-rise:.3g} less than the fit: start again there"
@@ -339,7 +339,7 @@ class _Walker:
             found.append(
                 self._estimated(held, _Warm(values, initial, self.fit.noise, self.in_full, last.fit.fineness))
             )
-            if found[-1].converged and found[-1].cost - self.base <= most:
+            if found[-1].converged and found[-1].cost + _of_held(self.fit, found[-1]) - self.base <= most:
                 break
         return min(found, key=lambda fit: (not fit.converged, fit.cost))
 
@@ -381,3 +381,14 @@ def _crossing(course: list[_Point], root: float) -> float | None:
         if low < root <= high:
             return before.value + (after.value - before.value) * (root - low) / (high - low)
     return None
+
+
+def _of_held(own: Fit, held: Fit) -> float:
+    """What the priors of parameters that are held in a refit, and were not in the fit, add to chi-squared there."""
+    found = 0.0
+    for name, one in held.estimates.items():
+        prior = own.parameters[name.partition("@")[0]].prior
+        before = own.estimates.get(name)
+        if prior is not None and one.fixed and before is not None and not before.fixed:
+            found += ((one.value - prior[0]) / prior[1]) ** 2
+    return found

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import casadi
 import numpy as np
 import pytest
 
@@ -280,3 +281,63 @@ def test_a_band_of_few_samples_holds_what_it_says():
         quiet = quiet[: len(band.value)]  # up to the last sample
         held.append(np.mean((band.low <= quiet) & (quiet <= band.high)))
     assert np.mean(held) == pytest.approx(0.95, abs=0.03)
+
+
+def growing():
+    b = ce.Blueprint("growth")
+    r, most = b.parameter("r", 0.5, unit="1/s", min=0.01, max=10), b.parameter("K", 5.0, min=0.1, max=200)
+    x = b.state("x")
+    b.ode("x", r * x * (1 - x / most))
+    b.output("x", x)
+    return b.model()
+
+
+def grown(time, *, until, seed=0):
+    """The closed form of logistic growth with noise, and times without a value after ``until``."""
+    values = 1.8 / (0.3 + 5.7 * np.exp(-0.6 * time)) + 0.15 * np.random.default_rng(seed).standard_normal(
+        len(time)
+    )
+    return ce.Experiment.from_arrays(
+        "r", time=time, units={"x": "1"}, x=np.where(time <= until, values, np.nan)
+    )
+
+
+def test_a_fitted_record_goes_on_at_times_without_values():
+    """Rows of the measurement with more times behind them, and the times alone, tell the same start and end."""
+    model, known = growing(), {"noise": ce.Noise(x=0.15), "progress": False}
+    fit = ce.estimate(model, grown(np.linspace(0, 10, 12), until=10), **known)
+    longer = np.append(np.linspace(0, 10, 12), np.linspace(11, 16, 6))
+    part = ce.simulate(fit, grown(longer, until=10), band=True)["x"]
+    alone = ce.simulate(fit, grown(longer, until=-1), band=True)["x"]
+    np.testing.assert_array_equal(part.time, longer)
+    np.testing.assert_allclose(alone.value, part.value, rtol=1e-6)
+    np.testing.assert_allclose(alone.stderr, part.stderr, rtol=1e-3)
+    assert alone.stderr[0] == pytest.approx(fit.initial["r"]["x"].stderr, rel=0.05)
+
+
+def test_such_bands_cover_the_course():
+    """40 fits: 95 % of the closed form at the start, in the bend and at the end."""
+    model, inside, times = growing(), [], np.linspace(0, 16, 9)
+    for seed in range(40):
+        fit = ce.estimate(model, grown(np.linspace(0, 10, 12), until=10, seed=seed), noise=ce.Noise(x=0.15),
+                          progress=False, errors="quadratic")  # fmt: skip
+        band = ce.simulate(fit, grown(times, until=-1), band=True)["x"]
+        true = 1.8 / (0.3 + 5.7 * np.exp(-0.6 * times))
+        inside.append((band.low <= true) & (true <= band.high))
+    assert (np.sum(inside, axis=0) >= 33).all()
+
+
+def test_a_band_without_slopes_is_refused():
+    b = ce.Blueprint("outflow")
+    k, x = b.parameter("k", 1.0, min=0.1, max=10), b.state("x")
+    b.ode("x", -k * casadi.sqrt(x))
+    b.output("x", x)
+    time = np.linspace(0, 1.2, 25)
+    seen = (1 - time / 2) ** 2 + 0.01 * np.random.default_rng(0).standard_normal(25)
+    record = ce.Experiment.from_arrays("r", time=time, units={"x": "1"}, x=seen)
+    fit = ce.estimate(b.model(), record, noise=ce.Noise(x=0.01), initial={"x": 1.0}, progress=False)
+    late = ce.Experiment.from_arrays(
+        "late", time=np.linspace(0, 4, 9), units={"x": "1"}, x=np.full(9, np.nan)
+    )
+    with pytest.raises(SimulationError, match=r"no slopes along the simulation|not finite"):
+        ce.simulate(fit, late, initial={"x": 1.0}, band=True)

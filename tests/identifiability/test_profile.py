@@ -213,3 +213,25 @@ def test_a_side_that_was_not_reached_is_not_flat():
     assert not Interval(None, 1.0, "at its bound", None).lost
     line = SimpleNamespace(interval=lost)
     assert shape(line) == "not known: a refit did not end"
+
+
+def test_a_prior_counts_while_its_parameter_is_held():
+    """y = p of 8 samples of 0.5 and a prior: the posterior is normal, and the profile its 95 %."""
+    b = ce.Blueprint("line")
+    p, x = b.parameter("p", 1.0, min=-50, max=50), b.state("x")
+    b.ode("x", 1e-9 * p)
+    b.output("y", p + x)
+    seen = 3 + 0.5 * np.random.default_rng(0).standard_normal(8)
+    record = ce.Experiment.from_arrays("r", time=np.arange(8.0), units={"y": "1"}, y=seen)
+    pars = b.model().parameters()
+    pars["p"].set(prior=(2.5, 0.2))
+    fit = ce.estimate(
+        b.model(), record, parameters=pars, noise=ce.Noise(y=0.5), initial={"x": 0.0}, progress=False
+    )
+    weight = 8 / 0.25 + 1 / 0.04
+    middle = (seen.sum() / 0.25 + 2.5 / 0.04) / weight
+    found = ce.profile(fit, "p")
+    interval = found["p"].interval
+    low, high = interval.low, interval.high
+    np.testing.assert_allclose([low, high], middle + 1.96 * np.array([-1, 1]) / np.sqrt(weight), rtol=2e-3)
+    assert not any("less than the fit" in words for words in found.messages)
