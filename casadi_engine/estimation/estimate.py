@@ -32,6 +32,7 @@ from casadi_engine.estimation.nothing_left import nothing_left
 from casadi_engine.estimation.options import begun_at, chosen, seconds_for_intervals, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.second_look import looked_at_twice
 from casadi_engine.estimation.short_intervals import short_enough
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.workers import Workers
@@ -203,6 +204,7 @@ def _followed_up(
     if alone:
         return fit
     fit = in_time(lambda: from_lower_places(fit, again), lambda: fit)
+    fit = in_time(lambda: looked_at_twice(fit, again), lambda: fit)
     fit = in_time(lambda: told_from_their_bounds(fit, arguments["parameters"], again), lambda: fit)
     return replace(fit, messages=(*faults(fit), *fit.messages))
 

@@ -35,13 +35,13 @@ def from_lower_places(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
             return fit
         found = again({"warm": fit.lower})
         # where a far better place is known, this is no optimum, whether or not the search from there ends in one
-        if not _merit(found) < _merit(fit) - (_LOWER if found.converged else _FAR):
+        if not merit(found) < merit(fit) - (_LOWER if found.converged else _FAR):
             return fit
         fit = found
     return fit
 
 
-def _merit(fit: Fit) -> float:
+def merit(fit: Fit) -> float:
     """Twice the negative log likelihood, but for a constant: where noise levels are estimated chi-squared is about the
     number of samples everywhere."""
     total = fit.cost

@@ -160,6 +160,11 @@ def draw_correlation(panel: Panel, correlation: Correlation, *, title: str, with
     lags = correlation.lags
     first = 1 if with_itself else 0  # lag 0 of an autocorrelation is 1 and would squeeze the rest
     lags, values, band = lags[first:], correlation.values[first:], correlation.band[first:]
+    told = np.isfinite(values) & np.isfinite(band)
+    if not told.any():  # no two samples are so few steps apart
+        panel.note = "no correlation: too few pairs of samples"
+        return
+    lags, values, band = lags[told], values[told], band[told]
     panel.fill_between(lags, -band, band, color=BAND, linewidth=0, step="mid", label="99 % band")
     outside = np.abs(values) > band
     panel.axhline(0.0, color="0.6", linewidth=0.6)
@@ -168,7 +173,7 @@ def draw_correlation(panel: Panel, correlation: Correlation, *, title: str, with
             panel.vlines(lags[chosen], 0, values[chosen], color=colour, linewidth=1.0)
             panel.plot(lags[chosen], values[chosen], "o", color=colour, markersize=2.5, label=label)
     panel.key = "upper right"
-    tallest = max(float(np.nanmax(np.abs(values))), float(np.nanmax(band)))
+    tallest = max(float(np.abs(values).max()), float(band.max()))
     panel.ylim, panel.room = (-1.2 * tallest, 1.2 * tallest), 0.2
 
 
