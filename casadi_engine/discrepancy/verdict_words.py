@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 # Where the sentence on a law goes on to say how probable it is.
 _ODDS = re.compile(r":? (?:far|[0-9.e+]+ times) more probable")
+# Probability of a member below which the headline does not speak of it.
+_HARDLY = 1e-4
 # Right in 95 % of records.
 ENOUGH = 3.3
 # Fixed parameters that are named in one line.
@@ -63,7 +65,7 @@ def headline(repair: Repair) -> str:
             why = "no effect that was tried names it" if unnamed else ended
         return f"something is missing, and {why}{unnamed}{_nearest(repair)}"
     sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
-    others = [m.label for one in repair.effects for m in one.members[1:]]
+    others = [m.label for one in repair.effects for m in one.members[1:] if m.probability > _HARDLY]
     likely = _more_probable(repair)
     others = [label for label in others if label not in likely]
     doubt = f", or more probably {' or '.join(likely)}" if likely else ""

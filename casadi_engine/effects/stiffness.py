@@ -60,8 +60,8 @@ class Backlash(Effect):
     name = "backlash"
     attaches = ("coupling",)
     kin = ("cubic_stiffness", "coulomb_friction")
-    sentence = "play in {port}"
-    neutral = "a dead zone in {port}"
+    sentence = "play of ±gap in {port}"
+    neutral = "a dead zone of ±gap in {port}"
 
     @property
     def amplitude(self) -> Amplitude:  # type: ignore[override]
