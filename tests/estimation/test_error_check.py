@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import sys
 
 import casadi
 import numpy as np
@@ -237,14 +238,29 @@ def test_where_the_model_has_no_value_within_the_errors_nothing_is_known():
     )
 
 
-def test_a_profile_that_meets_a_lower_optimum_takes_the_errors_back():
+def test_a_profile_that_meets_a_lower_optimum_leads_to_it():
     """Two valleys and a low pass between: chi-squared is A (p^2 - 1)^2 + B (p - 0.3)^2. The point of the other
     sign is beyond the bounds."""
     size = np.sqrt((TIME**2).sum())
     data = ce.Experiment.from_arrays("r", time=TIME, units={"y1": "1", "y2": "1"}, y1=TIME, y2=0.3 * TIME)
-    fit = ce.estimate(
-        bent(-1.0, high=0.9), data, noise=ce.Noise(y1=size / np.sqrt(3.0), y2=size / np.sqrt(0.25)), **REST
-    )
+    noise = ce.Noise(y1=size / np.sqrt(3.0), y2=size / np.sqrt(0.25))
+    first = ce.estimate(bent(-1.0, high=0.9), data, noise=noise, **{**REST, "errors": "quadratic"})
+    fit = ce.estimate(bent(-1.0, high=0.9), data, noise=noise, **REST)
+    assert first.values["p"] < 0
+    assert fit.values["p"] == pytest.approx(0.9)
+    assert fit.cost < first.cost
+    assert fit.stderr["p"] is None
+
+
+def test_errors_of_a_higher_optimum_are_taken_back(monkeypatch):
+    """Where the search from the lower place leads nowhere."""
+    module = sys.modules["casadi_engine.estimation.estimate"]
+    for name in ("from_lower_places", "looked_at_twice"):
+        monkeypatch.setattr(module, name, lambda fit, _: fit)
+    size = np.sqrt((TIME**2).sum())
+    data = ce.Experiment.from_arrays("r", time=TIME, units={"y1": "1", "y2": "1"}, y1=TIME, y2=0.3 * TIME)
+    noise = ce.Noise(y1=size / np.sqrt(3.0), y2=size / np.sqrt(0.25))
+    fit = ce.estimate(bent(-1.0, high=0.9), data, noise=noise, **REST)
     assert fit.values["p"] < 0
     assert fit.stderr["p"] is None
     assert fit.estimates["p"].interval is None

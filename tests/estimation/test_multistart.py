@@ -56,10 +56,18 @@ def search_of(model, data, noise):
 
 def test_one_start_ends_in_the_valley_it_starts_in(valleys):
     model, data, noise = valleys()
-    fit = ce.estimate(model, data, noise=noise, **REST)
+    fit = ce.estimate(model, data, noise=noise, **{**REST, "errors": "quadratic"})
     assert fit.values["p"] == pytest.approx(HIGH.x, abs=1e-5)
     assert fit.cost == pytest.approx(HIGH.fun, rel=1e-6)
     assert not any("other optim" in message for message in fit.messages)
+
+
+def test_a_profile_that_comes_below_it_leads_to_the_lower_valley(valleys):
+    model, data, noise = valleys()
+    fit = ce.estimate(model, data, noise=noise, **REST)
+    assert fit.converged
+    assert fit.values["p"] == pytest.approx(LOW.x, abs=1e-5)
+    assert fit.cost == pytest.approx(LOW.fun, rel=1e-6)
 
 
 def test_neighbours_find_the_lower_valley(valleys):
