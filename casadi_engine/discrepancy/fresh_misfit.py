@@ -239,16 +239,20 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     missing law does to one record.
     """
     held = _held(repair)
-    at = [repair.model.ports[one.at].kind for one in held.effects]
     judged = held.gaps is not None and held.gaps.validation_after is not None
     fits = fresh_misfit(repair) is None or is_louder(repair) or _left(repair) ** 2 <= SEEN
     fits = fits and held.confirmed is not False
-    if fits or not judged or set(at) != {"sensor"}:
+    if fits or not judged or not _of_sensors(held):
         return held
     names = " and ".join(f"{one.name} at {one.at}" for one in held.effects)
     words = f"{names} describes the gap best, but fresh data do not confirm that a sensor is at fault"
     unknown = held.unknown or Unknown(words, {one.key: one.p_value for one in held.effects})
     return withdrawn(held, _why(held), unknown)
+
+
+def _of_sensors(repair: Repair) -> bool:
+    """True if all effects are errors of sensors."""
+    return {repair.model.ports[one.at].kind for one in repair.effects} == {"sensor"}
 
 
 def _why(repair: Repair) -> str:
@@ -264,7 +268,9 @@ def _held(repair: Repair) -> Repair:
         doubt = fresh_doubt(repair) or _coloured_doubt(repair)
         if doubt is None:
             return repair
-        sure = None if repair.confirmed and _mostly_left(repair) else repair.confirmed
+        # an error of a sensor bends to what a missing law does to one record
+        weak = _mostly_left(repair) or _of_sensors(repair)
+        sure = None if repair.confirmed and weak else repair.confirmed
         return replace(repair, confirmed=sure, messages=(doubt, *repair.messages))
     confirmed = repair.confirmed
     if repair.verdict == "nothing missing" and (p := _more_than_noise(repair)) is not None:
