@@ -20,6 +20,7 @@ from casadi_engine.estimation.ipopt import ONE_STEP, OUT_OF_ITERATIONS, WALL, So
 from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, in_full
 from casadi_engine.estimation.unreachable import unreachable
+from casadi_engine.simulation.propagator import fineness_of
 
 Array = NDArray[np.float64]
 
@@ -44,7 +45,8 @@ class Attempt:
     merit : what starts are compared by, -2 log likelihood but for a constant; start : (nz,) parameters at the start
     searched : what was searched on, in words; begun : where the search in the frequency domain ended, if there was one;
     pending : it has yet to look at all samples; cut : it was ended before its end (see ``cut_short``), and its cost is
-    at the levels that it had then; run : no simulation from its first states is known to be another
+    at the levels that it had then; run : no simulation from its first states is known to be another; steps : of the
+    integration of each record, at which it was solved
     """
 
     solution: Solution
@@ -59,6 +61,7 @@ class Attempt:
     pending: bool = False
     cut: bool = False
     run: bool = True
+    steps: tuple[Any, ...] = ()
 
 
 def is_near(warm: Any) -> bool:
@@ -304,7 +307,9 @@ class Search(FirstPoints):
             try:
                 nodes = [lay.take(x) for lay in self.problem.layouts]
                 misfit = attempt.cost / max(self.problem.samples, 1)
-                if not shorten_steps(self.records, x[: self.problem.nv], nodes, misfit):
+                # another start may have asked for shorter ones since
+                same = attempt.steps == self._steps()
+                if not shorten_steps(self.records, x[: self.problem.nv], nodes, misfit) and same:
                     break
                 self.problem.forget()
                 solution = self._descended(x, exact=True)
@@ -385,7 +390,13 @@ class Search(FirstPoints):
         """The outcome of a start z with this objective at the levels (ny,)."""
         cost = 2 * self.problem.samples * objective
         merit = cost + 2 * float(np.log(sigma) @ self.levels.counts)
-        return Attempt(solution, solution.x[: self.problem.nv], sigma, cost, merit, iterations, z)
+        return Attempt(
+            solution, solution.x[: self.problem.nv], sigma, cost, merit, iterations, z, steps=self._steps()
+        )
+
+    def _steps(self) -> tuple[Any, ...]:
+        """How finely each record is integrated now."""
+        return tuple(fineness_of(record.propagator) for record in self.records)
 
     def cost_of(self, attempt: Attempt, sigma: Array) -> float:
         """The cost of an attempt at other noise levels (ny,)."""
