@@ -139,7 +139,7 @@ def _memory(repair: Repair) -> float:
         for trace in traces.values():
             e = trace.residual[np.isfinite(trace.residual)]
             found = max(found, len(e) / (2 * numbers_of(e))) if len(e) else found
-    return min(2 * found, MEMORY) if found > 1 else MEMORY
+    return min(2 * found, MEMORY)
 
 
 def beyond_chance(

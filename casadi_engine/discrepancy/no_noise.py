@@ -34,8 +34,8 @@ def why_no_noise(
         )
     if (swings := numbers_of(e)) < _SWINGS:
         return (
-            f"what the model leaves of {output} in {record} swings on and on, as if the record held {swings:.0f} "
-            f"independent samples: {_NOT_NOISE}"
+            f"what the model leaves of {output} in {record} oscillates without decaying, as if the record held "
+            f"{swings:.0f} independent samples: {_NOT_NOISE}"
         )
     if explained is None:
         return None

@@ -50,8 +50,8 @@ def held_to_sizes(repair: Repair) -> Repair:
     if not untold or not repair.confirmed:
         return repair
     words = (
-        f"the gap on fresh data is smaller with {' and '.join(untold)}, whose size is not told from none, or is at a "
-        "bound: that is no confirmation"
+        f"the gap on fresh data is smaller with {' and '.join(untold)}, whose size may be zero within its errors, "
+        "or is at a bound: that is no confirmation"
     )
     return replace(repair, confirmed=None, messages=(words, *repair.messages))
 

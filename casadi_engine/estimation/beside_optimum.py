@@ -139,11 +139,11 @@ def bounds(search: Search, errors: Uncertainty, rises: Mapping[str, Rises]) -> l
         elif search.coordinates.log[k] and size > _WIDE and name not in rises:
             found.append((k, f"{name} is known to {100 * size:.2g} %"))
         elif size > (1 + _WIDE) * np.sqrt(max(kept[k, k], 0.0)):
-            found.append((k, f"{name} goes with {' and '.join([*resting, *errors.acting])}"))
+            found.append((k, f"{name} is correlated with {' and '.join([*resting, *errors.acting])}"))
         else:
             end, words = min((limits.end(k, sign, FAR) for sign in (-1.0, 1.0)), key=lambda one: one[0])
             if end < (1 - UNEVEN) * FAR:
-                found.append((k, f"{name} goes with {words} within {FAR:g} standard errors"))
+                found.append((k, f"{name} is correlated with {words} within {FAR:g} standard errors"))
     return [Doubt("bound", text, np.eye(len(matrix))[k]) for k, text in found]
 
 

@@ -137,7 +137,9 @@ def _robust(r: Array, loss: Loss, share: float) -> float:
     The median absolute deviation, from which it begins, is known by a third of the samples alone: of ten residuals half
     may be next to nothing.
     """
-    size = max(_MAD * float(np.median(np.abs(r - np.median(r)))), 1e-300)
+    size = _MAD * float(np.median(np.abs(r - np.median(r))))
+    if not size > 0:  # most are one number, as of a sensor that reads in steps: the others tell the size
+        return max(float(np.sqrt(np.mean(r**2) / max(share, 1e-9))), 1e-300)
     wanted = max(share, 1e-9) * _clipped(loss.knee)
     for _ in range(_TURNS):
         new = size * float(np.sqrt(np.mean(loss.slope(r / size) ** 2) / wanted))

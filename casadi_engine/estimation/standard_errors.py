@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.dichotomy import eliminated, grows
 from casadi_engine.estimation.fit import AtBound, Direction, Estimate
 from casadi_engine.estimation.growth import check_growth
+from casadi_engine.estimation.inside_limits import HELD, Active, inside_limits
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.parameter_errors import ParameterErrors
 from casadi_engine.estimation.record import RecordTerm
@@ -31,13 +32,8 @@ Array = NDArray[np.float64]
 # tell: it changes chi-squared by the square, 1e-3), and if without it the estimate would go beyond it by more than
 # ``_BEYOND`` times as far. The standard error is the one that the estimate has without bounds.
 _NEAR, _BEYOND = 0.03, 3.0
-# Chi-squared by which the data may ask for less than a bound by chance, and standard errors of 95 %: a range counts as
-# an error of so much less.
-_CHANCE, _TWO_SIDED = 4.0, 1.96
 # Why an estimate has no error that no record tells.
 UNDETERMINED = "the data do not determine it"
-# A variance below this share of what its parts would give is rounding: the constraints leave nothing open.
-_HELD = 1e-12
 
 
 @dataclass(frozen=True)
@@ -182,7 +178,7 @@ class Uncertainty:
             return None, "the data tell it only for what is at its bound"
         variance = float(slope @ matrix @ slope)
         # what it would be if the entries were independent
-        if variance <= _HELD * float(slope**2 @ np.diag(matrix)):
+        if variance <= HELD * float(slope**2 @ np.diag(matrix)):
             return None, "held by active bounds or constraints"
         return float(np.sqrt(variance)), None
 
@@ -242,8 +238,7 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     decrement = float(-gradient @ step)
     held = np.flatnonzero(closed[: search.problem.nv] & ~fixed[: search.problem.nv])
     spans = np.concatenate([search.upper[held] - search.lower[held], spans])
-    active = _Active(closed, held, rows, spans)
-    inside, blind = _inside_limits(information, found, active, gradient)
+    inside, blind = inside_limits(information, found, Active(closed, held, rows, spans), gradient)
     if inside is not None:
         rest = np.where(closed[:, None], 0.0, inside)  # what is at a bound has no symmetric error
         found = replace(found, matrix=found.matrix + rest @ rest.T)
@@ -272,51 +267,6 @@ def _turned(told: Uncertainty, turn: Array) -> Uncertainty:
         blind=list(orthonormal(told.blind, turn).T),
         inside=None if told.inside is None else turn @ told.inside,
     )
-
-
-@dataclass(frozen=True)
-class _Active:
-    """What holds an estimate: closed (N,) entries that are fixed or at a bound, and ``held`` of these at one; rows
-    (c, N) of constraints that act, the equalities first; spans (k,) from limit to limit, of ``held`` and of the
-    inequalities."""
-
-    closed: NDArray[np.bool_]
-    held: NDArray[np.intp]
-    rows: Array
-    spans: Array
-
-    def moves(self) -> Array:
-        """(N, k) moves of which each leaves one of the limits by a unit, and none of the others."""
-        equal = len(self.rows) - (len(self.spans) - len(self.held))
-        others = np.setdiff1d(np.flatnonzero(self.closed), self.held)
-        identity = np.eye(len(self.closed))
-        stacked = np.vstack([identity[self.held], self.rows[equal:], self.rows[:equal], identity[others]])
-        return np.asarray(np.linalg.pinv(stacked)[:, : len(self.spans)])
-
-
-def _inside_limits(
-    information: Array, found: Covariance, active: _Active, gradient: Array
-) -> tuple[Array | None, list[Array]]:
-    """How all move (N, k) with what is at a bound or at the limit of an inequality, in the standard errors that these
-    have inside it, None where they add nothing; and directions (N,) of which they leave nothing known.
-
-    The data say that such a quantity is at its limit or inside by as much as its own error, which may be all of its
-    range: the others move with it. Nothing is added where the data pull it beyond the limit by more than chance does.
-    gradient : (N,) of half chi-squared
-    """
-    if not len(active.spans) or not np.isfinite(information).all():
-        return None, []
-    alone = active.moves()
-    moved = alone - found.matrix @ (information @ alone)
-    own = moved.T @ information @ moved
-    reach = _TWO_SIDED / active.spans
-    values, vectors = np.linalg.eigh((own + own.T) / 2 + np.diag(reach**2))
-    lost = values <= _HELD * max(float(np.einsum("ak,ab,bk->k", alone, information, alone).max()), 1e-300)
-    known = vectors[:, ~lost] / np.sqrt(values[~lost])
-    if float(((known.T @ (moved.T @ gradient)) ** 2).sum()) > _CHANCE:
-        return None, []
-    rest = np.where(active.closed[:, None], 0.0, moved)
-    return moved @ known, list((rest @ vectors[:, lost]).T)
 
 
 def _released(

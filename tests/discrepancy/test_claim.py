@@ -65,7 +65,11 @@ def test_what_is_missing_where_nothing_else_tells(monkeypatch, withdrawn, signif
 
 @pytest.mark.parametrize(
     ("turns", "words"),
-    [(1, "y in run changes as slowly as if"), (200, "y in run swings on and on, as if"), (None, "")],
+    [
+        (1, "y in run changes as slowly as if"),
+        (200, "y in run oscillates without decaying, as if"),
+        (None, ""),
+    ],
 )
 def test_a_coloured_residual_of_few_swings_is_not_called_noise(turns, words):
     residual = NARROW if turns is None else np.sign(np.sin(2 * np.pi * turns * np.arange(2000) / 2000 + 0.3))

@@ -27,8 +27,8 @@ WHITE = np.random.default_rng(0).standard_normal(2000)
         (WHITE, 20.0, 0.99, None),
         (NARROW, None, 0.05, None),
         # nothing periodic is noise, however small
-        (WAVE, 92.0, 0.3, "swings on and on, as if the record held 3 independent samples"),
-        (WAVE + 0.3 * WHITE, None, 0.3, "swings on and on"),
+        (WAVE, 92.0, 0.3, "oscillates without decaying, as if the record held 3 independent samples"),
+        (WAVE + 0.3 * WHITE, None, 0.3, "oscillates without decaying"),
         (np.sign(np.sin(2 * np.pi * np.arange(2000) / 2000 + 0.3)), 99.0, 0.9, "changes as slowly as if"),
     ],
 )

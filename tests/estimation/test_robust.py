@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 import casadi_engine as ce
+from casadi_engine.estimation.levels import _robust
 from casadi_engine.estimation.loss import Loss, read_loss
 from casadi_engine.estimation.standard_errors import efficiency
 
@@ -156,3 +157,17 @@ def test_other_losses_are_refused(given, refused, run_up):
         cure='leave it out for least squares, or give ("huber", 1.345)',
     ):
         ce.estimate(ce.one_inertia(), run_up(), loss=given, progress=False)
+
+
+def test_a_robust_level_of_residuals_of_which_most_are_one_number():
+    """Their median deviation is 0, as of a sensor that reads in steps: that is no level of 0."""
+    r = np.zeros(40)
+    r[:10] = np.tile([1.0, -1.0], 5)
+    assert _robust(r, Loss(1.345), 1.0) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("outliers", [0, 3])
+def test_a_robust_level_is_that_of_normal_noise(outliers):
+    r = np.random.default_rng(0).standard_normal(4000)
+    r[: 10 * outliers] = 100.0
+    assert _robust(r, Loss(1.345), 1.0) == pytest.approx(1.0, abs=0.05)
