@@ -39,6 +39,11 @@ _VALLEY, _FLAT, _CLOSED = 8, 0.1, 1e-6
 # a bound, which IPOPT comes to by and by, it is not.
 _UNSEEN, _JOINED, _INSIDE = 1e-4, 1e-8, 1e-6
 
+# Share of the range between two bounds by which a start near by is kept from them.
+_PUSH = 1e-12
+# Roundings of a bound that a distance from it has to be.
+_APART = 4.0
+
 # Options of IPOPT that every fit has.
 _OPTIONS = {
     "print_level": 0,
@@ -65,8 +70,8 @@ _OPTIONS = {
 # Options by which IPOPT starts at an optimum found before: it stays there, and finds the multipliers itself.
 _NEAR = {
     "mu_init": 1e-11,
-    "bound_push": 1e-12,
-    "bound_frac": 1e-12,
+    "bound_push": _PUSH,
+    "bound_frac": _PUSH,
     "bound_mult_init_method": "mu-based",
 }
 
@@ -266,7 +271,8 @@ class Solver:
         joints = problem.rows - problem.user.count
         low = np.concatenate([problem.user.lower, np.zeros(joints)])
         high = np.concatenate([problem.user.upper, np.zeros(joints)])
-        solver = self._solver(near)
+        crowded = _crowded(problem.user.lower, problem.user.upper) or _crowded(lower, upper)
+        solver = self._solver(near and not crowded)
         answer = solver(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
         for function in self._kept:
             if function.failure is not None:
@@ -288,3 +294,11 @@ class Solver:
             status = f"not converged: {_WORDS.get(words, words.replace('_', ' ').lower())}"
         lam_g, lam_x = (np.asarray(answer[key], dtype=float).ravel() for key in ("lam_g", "lam_x"))
         return Solution(x, lam_g, lam_x, status, self.iterations, words)
+
+
+def _crowded(low: Array, high: Array) -> bool:
+    """True where a start near by would be kept from two bounds by no more than rounding: with a distance of 0 to one
+    of them the solver crashes (Ipopt 3.14.19)."""
+    finite = np.isfinite(low) & np.isfinite(high) & (low < high)
+    size = np.maximum(1.0, np.maximum(np.abs(low[finite]), np.abs(high[finite])))
+    return bool((_PUSH * (high - low)[finite] < _APART * np.finfo(float).eps * size).any())

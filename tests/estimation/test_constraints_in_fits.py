@@ -345,3 +345,26 @@ def test_a_frequency_constraint_needs_a_linear_core(refused):
         cure="leave constrain_frequency out",
     ):
         ce.estimate(b.model(), data, parameters=pars, progress=False)
+
+
+@pytest.mark.parametrize("width", [1e-9, 1e-4])
+def test_limits_that_are_nearly_one_do_not_stop_the_profiles(width):
+    """A tank that runs out: a distance of 0 from one of them, as 1e-12 of such a range is, had ended the process."""
+    b = ce.Blueprint("tank")
+    a, g = (
+        b.parameter("a", 0.2, unit="1/s", min=0.05, max=25),
+        b.parameter("g", 1.0, unit="m", min=0.1, max=50),
+    )
+    h = b.state("h", unit="m")
+    b.ode("h", -a * h + a * g)
+    b.output("h", h, unit="m")
+    time = np.sort(np.append(0.0, np.random.default_rng(0).uniform(0, 20, 29)))
+    level = 4 + 16 * np.exp(-0.3 * time) + 0.1 * np.random.default_rng(1).standard_normal(30)
+    record = ce.Experiment.from_arrays("r", time=time, units={"h": "m"}, h=level)
+    pars = b.model().parameters()
+    pars.constrain("a + g", 3.0, 3.0 + width)
+    fit = ce.estimate(b.model(), record, parameters=pars, progress=False)
+    assert fit.converged
+    assert 3.0 - 1e-6 < fit.values["a"] + fit.values["g"] < 3.0 + width + 1e-6
+    interval = ce.profile(fit, "a")["a"].interval
+    assert interval.low < fit.values["a"] < interval.high
