@@ -106,7 +106,8 @@ def class_of(
     effect of which its refit has left nothing explains nothing in its place. misfit : chi-squared per sample of fresh
     data, in the noise's: where it is more than 1 no structure is right, and evidence counts by as much less.
     second_names : effects that are the same as one in the equations, which is why that one alone was refitted.
-    One that the data do not tell from it, with no more numbers, is named however improbable it was before them.
+    One that neither the data of the search nor fresh data tell from it, with no more numbers, is named however
+    improbable it was before them.
     blur : chi-squared by which structures may be off, as their corners are rounded
     """
     own = one.candidate.key
@@ -135,7 +136,7 @@ def class_of(
             logs[next(iter(new)), f" in place of it and {gone[0]} at {gone[1]}"] = log + back
     top = max(logs.values(), default=0.0)
     logs.setdefault((own, ""), top)
-    untold = _untold(pool, key, rest, blur)
+    untold = _untold(pool, key, rest, blur, misfit * math.log(factor))
     kept = {
         k: math.exp(log - top) for k, log in logs.items()
         if k[0] == own or log > top - math.log(factor) or (not k[1] and k[0] in untold)
@@ -145,9 +146,12 @@ def class_of(
     return tuple(Member(name, at, 1.0, kept[(name, at), more] / total, more) for (name, at), more in order)
 
 
-def _untold(pool: Mapping[Any, Any], key: Key, rest: Key, blur: float) -> set[tuple[str, str]]:
+def _untold(pool: Mapping[Any, Any], key: Key, rest: Key, blur: float, most: float) -> set[tuple[str, str]]:
     """The effects that leave in the place of one of a structure what it does, with no more numbers: what makes them
-    less probable is what was held of them before the data."""
+    less probable is what was held of them before the data.
+
+    most : log of how much less probable the fresh data may be by one of them
+    """
     now = pool.get(key)
     if now is None:
         return set()
@@ -155,7 +159,7 @@ def _untold(pool: Mapping[Any, Any], key: Key, rest: Key, blur: float) -> set[tu
         next(iter(other - rest)) for other, found in pool.items()
         if len(other) == len(key) and rest < other and found.log > -math.inf and found.beyond > NOTHING
         and found.evidence.cost < now.evidence.cost + 2 * _TIE + blur
-        and numbers(found.effects) <= numbers(now.effects)
+        and numbers(found.effects) <= numbers(now.effects) and found.fresh > now.fresh - most
     }  # fmt: skip
 
 

@@ -83,12 +83,15 @@ def family_candidates(
 ) -> tuple[list[Candidate], list[Family]]:
     """The terms of all families as candidates, to be scored together with a library, and the families.
 
-    ports : names of ports; None for all inertias, couplings, inputs and sensors, and for what is internal and has
-    signals. first : number of the first term among all candidates that are scored
+    ports : names of ports; None for all inertias, couplings, inputs and sensors, what is internal and has signals, and
+    pipes between two ports. first : number of the first term among all candidates that are scored
     """
     kinds = ("inertia", "coupling", "input", "sensor")
     offered = [p for p in null.model.ports if p.kind in kinds or p.is_own]
-    chosen = offered if ports is None else [p for p in null.model.ports if p.name in ports]
+    between = [p for p in null.model.ports.links if p.kind == "pipe"]
+    if ports is not None:
+        offered = list(null.model.ports)
+    chosen = [p for p in [*offered, *between] if ports is None or p.name in ports]
     candidates: list[Candidate] = []
     families: list[Family] = []
     for port in chosen:
@@ -116,7 +119,8 @@ def _signals(null: NullModel, port: Port) -> list[Signal]:
     added up, where that is none of them; and time, where something may act."""
     if port.kind == "sensor" and _in_steps(null, port.name.partition("_")[2]):
         return []
-    names = ("value",) if port.kind == "sensor" else tuple(port.signals)
+    # what flows between two ports depends on their difference: one of an end alone is a function at that end
+    names = ("value",) if port.kind == "sensor" else ("difference",) if port.ends else tuple(port.signals)
     found = [Signal(name, port.signals[name], along(null, port.signals[name])) for name in names]
     fired = any(one.kind == "cylinder" for one in null.model.ports)
     if "angle" in names and fired:
@@ -209,7 +213,7 @@ def terms_at(family: Family, signal: ca.SX) -> list[ca.SX]:
 def term_candidate(model: Model, port: Port, signal: Signal, number: int, term: ca.SX) -> Candidate:
     """A term of a family at its port."""
     name = f"{signal.name} {number} at {port.name}"
-    slots, drives, outputs, beyond = responses(model, port, ca.vertcat(term, 0))
+    slots, drives, outputs, beyond = responses(model, port, ca.vertcat(term, term if port.ends else 0))
     direction = slot_direction(model, slots, name=name, drives=drives, outputs=outputs)
     if beyond is not None:
         direction = replace(direction, ode=direction.ode + beyond)

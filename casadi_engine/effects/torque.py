@@ -17,10 +17,15 @@ _SAMPLES, _SHORT = 1.0, 0.01
 
 @dataclass(frozen=True)
 class ConstantTorque(Effect):
-    """A torque that no channel tells of; positive accelerates."""
+    """A torque that no channel tells of; positive accelerates. In a pipe it flows from the first end to the second.
+
+    >>> from casadi_engine import two_mass
+    >>> ConstantTorque().worded(two_mass().ports["load"])
+    'a constant torque on load'
+    """
 
     name = "constant_torque"
-    attaches = ("inertia",)
+    attaches = ("inertia", "pipe")
     kin = ("coulomb_friction", "load_step")
     sentence = "a constant {effort} on {port}"
     neutral = "a constant {effort} into {port}"
@@ -30,6 +35,13 @@ class ConstantTorque(Effect):
         """T."""
         del port, math
         return p.torque
+
+    def worded(self, port: Any) -> str:
+        """The clause; in a pipe with both ends."""
+        if not port.ends:
+            return super().worded(port)
+        first, second = port.ends
+        return f"a constant {port.quantity} from {first} to {second}"
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ def pool_of(**logs):
     known = {"dry": DRY, "drag": DRAG, "step": STEP, "offset": OFFSET, "none": None}
     return {
         frozenset(known[part] for part in name.split("_") if known[part]): SimpleNamespace(
-            log=log, effects=(), beyond=9.0, evidence=SimpleNamespace(cost=-2 * log)
+            log=log, effects=(), beyond=9.0, fresh=0.0, evidence=SimpleNamespace(cost=-2 * log)
         )
         for name, log in logs.items()
     }
@@ -134,6 +134,19 @@ def test_what_the_data_do_not_tell_is_named_however_improbable_it_was_before():
     assert found[1].probability == pytest.approx(1 / (1 + math.exp(6.5)))
     pool[frozenset({OFFSET})].evidence.cost += 0.2
     assert names(class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)) == ["dry"]
+
+
+@pytest.mark.parametrize(
+    ("fresh", "misfit", "kept"), [(-2.9, 1.0, True), (-3.1, 1.0, False), (-3.1, 2.0, True)]
+)
+def test_what_fresh_data_exclude_is_no_rival_however_alike_it_is_on_the_data_of_the_search(
+    fresh, misfit, kept
+):
+    pool = pool_of(dry=7.0, offset=-30.0)
+    pool[frozenset({OFFSET})].evidence.cost = pool[frozenset({DRY})].evidence.cost
+    pool[frozenset({OFFSET})].fresh = fresh  # log(20) is 3.0
+    found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE, misfit)
+    assert names(found) == (["dry", "offset"] if kept else ["dry"])
 
 
 def test_an_effect_has_the_candidate_of_its_label_or_else_the_best_one():
