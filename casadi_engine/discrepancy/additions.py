@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadi_engine.deadline import TimeUp, ask, late
+from casadi_engine.deadline import left as seconds_left
 from casadi_engine.discrepancy.event_times import located
 from casadi_engine.discrepancy.exchanged_units import LATE
 from casadi_engine.discrepancy.families import chosen_of, costs_of, families_of
@@ -26,6 +27,7 @@ from casadi_engine.discrepancy.in_place import (
     start_without,
     step_in_place,
 )
+from casadi_engine.discrepancy.law_refit import is_far, leading
 from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.null_model import null_at
 from casadi_engine.discrepancy.path import FAILURES, form_of
@@ -34,6 +36,7 @@ from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.unknown_law import depends_on
 
 # Why a refit was not tried.
 TIME_UP = "the time was up"
@@ -46,6 +49,8 @@ AGAIN = 3
 _NESTED, _SMALL = 1.0, 0.02
 # Log likelihood that a further effect has to promise to be refitted.
 _NOTHING = 1.0
+# Share of the time after which functions of no name show the way, where nothing has come near the motion until then.
+_LOST = 1 / 3
 
 Family = tuple[str, str]
 
@@ -81,10 +86,12 @@ class Additions:
         self.start: Start | None = Start(here.arrived.values, here.arrived.initial)
         order = left = self._ordered()
         best: Tried | None = None
-        begun = time.perf_counter()
+        begun, asked = time.perf_counter(), (1 - _LOST) * seconds_left()
         try:
             while left:
                 ask()
+                if seconds_left() < asked < math.inf:
+                    left, asked = self._led(left, best), 0.0
                 key = left[0]
                 self.tell(f"refit {len(self.done) + 1} of {len(self.done) + len(left)}: {key[0]} at {key[1]}")
                 self.done.append(key)
@@ -154,6 +161,21 @@ class Additions:
         return sorted(
             order, key=lambda key: (cost[key] > most, first[key[0]] != key, len(effects[key].nuisance))
         )
+
+    def _led(self, rest: list[Family], best: Tried | None) -> list[Family]:
+        """Those of the rest behind the laws of the signals at the ports where a function serves best, where nothing
+        comes near the motion: along a simulation that is far from it one step tells nothing."""
+        if self.here.effects:
+            return rest
+        if best is not None and not is_far(self.refits.path.residuals(best.effects, best.arrived)):
+            return rest
+        self.tell("which functions at which ports follow the motion")
+        candidates, first = self.screened.candidates, list[Family]()
+        for port, signal in leading(self.refits):
+            for key, members in self.families.items():
+                if key[1] == port and key not in self.done and depends_on(candidates[members[0]], signal):
+                    first.append(key)
+        return [*dict.fromkeys(first), *(key for key in rest if key not in first)]
 
     def _in_time(self, one: Addition) -> Addition:
         """An event at its best time, which a swing of what it excites tells better than the grid of times."""
@@ -244,8 +266,9 @@ class Additions:
         # what has no values to be looked for on a grid is told sooner
         grids = {one.key: bool(one.source.effect.nuisance) for one in candidates}
         left = sorted(self.families, key=lambda key: (grids[key], cost[key]))
-        last = 2 * time.perf_counter() - begun
-        best = self._best()
+        spent, best = time.perf_counter() - begun, self._best()
+        left = self._led(left, best)
+        last = time.perf_counter() + spent
         while left and time.perf_counter() < last:
             ask()
             key = left.pop(0)

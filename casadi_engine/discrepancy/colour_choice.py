@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from casadi_engine.deadline import ask
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.combustion_scatter import Scatter
 from casadi_engine.discrepancy.compression import Compressed, Reduced, compress
@@ -55,6 +56,7 @@ def coloured_noise(
         freedom = freedom_of(null, _only(columns, tried), noise, scatter=random, levels=every.scatter)
         found: list[tuple[float, int, NoiseModel]] = []
         for k, known in zip(tried, freedom, strict=True):
+            ask()
             left = beside(null, columns, [*held, k])
             own = estimated_noise(null, explained=left, scatter=random, colour=True, start=noise)
             if _allowed(null, candidates, columns, own, scatter, held, k):

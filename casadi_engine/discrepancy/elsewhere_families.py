@@ -67,7 +67,9 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
     """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter, at a sensor
     time and the inputs that no equation uses."""
     model = null.model
-    every = [(s.name, model.x[k]) for k, s in enumerate(model.states)]
+    # a state of an effect that may be withdrawn is none that a law is told by
+    lent = tuple(f"{one.at}_{one.effect.name}_" for one in model.effects)
+    every = [(s.name, model.x[k]) for k, s in enumerate(model.states) if not s.name.startswith(lent or "\0")]
     every += [(u.name, model.u[k]) for k, u in enumerate(model.inputs)]
     made: dict[str, Signal] = {
         name: Signal(name, symbol, along(null, symbol)) for name, symbol in [*every, (TIME, model.t)]

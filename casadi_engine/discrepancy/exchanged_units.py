@@ -28,6 +28,8 @@ _CLEARLY = 2.0
 BEHIND = ("input_lag", "input_delay")
 # All by which a channel is late.
 LATE = (LAG, "sensor_delay", *BEHIND)
+# Share of a lag that a lead of the same sensor may take back.
+_TAKEN_BACK = 0.1
 # Share of the shortest time within which a time is the shortest one.
 _AT = 1e-3
 # Share of a record by which a sensor may be late: with a longer delay most of what it shows is of no time that was
@@ -53,7 +55,7 @@ def impossible(
     effects: Sequence[Addition], values: Mapping[str, float], model: Model, data: Sequence[Experiment]
 ) -> bool:
     """True if an effect would be what none is: see ``impossible_gain``; a delay of a sensor by more than half of a
-    record; or a small share of an input that is late, or far more than all of it."""
+    record; a lag and a lead of one sensor; or a small share of an input that is late, or far more than all of it."""
     shortest = min(record.duration for record in data)
     late = (
         abs(values.get(one.amplitude, 0.0)) > _LATE * shortest
@@ -65,7 +67,28 @@ def impossible(
         for one in effects
         if one.candidate.effect in BEHIND and not is_shortest(one, values)
     )
-    return any(late) or any(partly) or impossible_gain(effects, values, model)
+    return (
+        any(late)
+        or any(partly)
+        or _early_and_behind(effects, values)
+        or impossible_gain(effects, values, model)
+    )
+
+
+def _early_and_behind(effects: Sequence[Addition], values: Mapping[str, float]) -> bool:
+    """True if a sensor would be behind by a lag and early by a good part of it: the two take each other back, and what
+    is left of both is no sensor's."""
+    for one in effects:
+        if one.candidate.effect != LAG:
+            continue
+        time = values.get(f"{one.key}.time", one.nuisance["time"].start) * min(
+            values.get(one.amplitude, 1.0), 1.0
+        )
+        for other in effects:
+            early = other.candidate.effect == "sensor_delay" and other.candidate.port == one.candidate.port
+            if early and values.get(other.amplitude, 0.0) < -_TAKEN_BACK * time:
+                return True
+    return False
 
 
 def is_shortest(one: Addition, values: Mapping[str, float]) -> bool:

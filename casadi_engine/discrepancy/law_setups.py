@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.path import FAILURES
-from casadi_engine.discrepancy.random_families import Family, smooth_family, terms_at
+from casadi_engine.discrepancy.random_families import TIME, Family, smooth_family, terms_at
 from casadi_engine.discrepancy.refits import Refits, Tried
 from casadi_engine.effects import Amplitude, Effect, Grid
 from casadi_engine.estimation.refit_problem import RefitProblem
@@ -67,6 +67,11 @@ class Setup:
     terms: tuple[str, ...]
     deviations: Array
 
+    @property
+    def at(self) -> tuple[str, str]:
+        """Its port and its signal."""
+        return self.family.port, self.family.signal
+
 
 def setups_at(refits: Refits, tried: Tried, port: Port) -> list[Setup]:
     """A function of every signal of a port at which something acts, over the range that the records visit.
@@ -102,13 +107,14 @@ def setups_at(refits: Refits, tried: Tried, port: Port) -> list[Setup]:
 
 
 def setups_elsewhere(refits: Refits, tried: Tried, family: Family) -> list[Setup]:
-    """A function of a state or an input that is no signal of its port: at a parameter as large as its value, at a
+    """A function of a state, an input or time that is no signal of its port: at a parameter as large as its value, at a
     sensor as what it shows varies."""
     plain = refits.refitter.extended(tried.effects)
-    names = [s.name for s in plain.states] + [u.name for u in plain.inputs]
-    if family.signal not in names or family.port not in plain.ports.names:
+    known = {TIME: plain.t} | {u.name: plain.u[k] for k, u in enumerate(plain.inputs)}
+    known |= {s.name: plain.x[k] for k, s in enumerate(plain.states)}
+    if family.signal not in known or family.port not in plain.ports.names:
         return []
-    symbol = ca.vertcat(plain.x, plain.u)[names.index(family.signal)]
+    symbol = known[family.signal]
     port = plain.ports[family.port]
     constant = port.parameter in plain.parameter_names and _in_equations_alone(plain, port)
     if port.slot is None and port.kind != "sensor" and not constant:

@@ -26,6 +26,7 @@ from casadi_engine.discrepancy.score import Scores
 from casadi_engine.effects.candidate import responses
 from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.model import Model, Port
+from casadi_engine.model.term import joined
 from casadi_engine.simulation.candidate_sensitivities import slot_direction
 
 TIME, PLACE, TURN = "time", "place", "turn"
@@ -37,6 +38,8 @@ _POINTS = 61
 _ROUGH = 2.0
 # What comes back so often in a turn of a shaft is looked for.
 ORDERS = 24
+# Links between ports are looked at where they are no more than so many.
+LINKS = 6
 # Steps of a sensor beyond this share of its residual are not blurred by its noise.
 _STEP = 1.0
 
@@ -84,11 +87,12 @@ def family_candidates(
     """The terms of all families as candidates, to be scored together with a library, and the families.
 
     ports : names of ports; None for all inertias, couplings, inputs and sensors, what is internal and has signals, and
-    pipes between two ports. first : number of the first term among all candidates that are scored
+    links and pipes that no coupling joins. first : number of the first term among all candidates that are scored
     """
     kinds = ("inertia", "coupling", "input", "sensor")
     offered = [p for p in null.model.ports if p.kind in kinds or p.is_own]
-    between = [p for p in null.model.ports.links if p.kind == "pipe"]
+    links = null.model.ports.links
+    between = [p for p in links if not joined(null.model, p)] if len(links) <= LINKS else []
     if ports is not None:
         offered = list(null.model.ports)
     chosen = [p for p in [*offered, *between] if ports is None or p.name in ports]
@@ -115,8 +119,8 @@ def family_columns(null: NullModel, candidates: Sequence[Candidate]) -> dict[str
 
 
 def _signals(null: NullModel, port: Port) -> list[Signal]:
-    """What a function at a port may depend on and what moves there: its own signals; its place, which is its speed
-    added up, where that is none of them; and time, where something may act."""
+    """What a function at a port may depend on and what moves there: its own signals; the place of what turns or slides,
+    which is its speed added up, where that is none of them; and time, where something may act."""
     if port.kind == "sensor" and _in_steps(null, port.name.partition("_")[2]):
         return []
     # what flows between two ports depends on their difference: one of an end alone is a function at that end
@@ -129,7 +133,8 @@ def _signals(null: NullModel, port: Port) -> list[Signal]:
         found += _turns(null, port)
     if port.slot is not None:
         found.append(Signal(TIME, null.model.t, along(null, null.model.t)))
-    if port.kind == "inertia" and "speed" in port.signals and "angle" not in port.signals:
+    turns_or_slides = port.kind == "inertia" and port.is_mechanical
+    if turns_or_slides and "speed" in port.signals and "angle" not in port.signals:
         factor = _radians(port, "speed", "s-1 rad")
         rate = port.signals["speed"] * (factor or 1.0)
         place = _added_up(null, rate)

@@ -237,6 +237,7 @@ class Refits:
         self.filters: dict[
             Key, Tried
         ] = {}  # structures with a lag that no sensor has, see ``more_than_whole``
+        self.race: Any = None  # functions that were refitted, see ``law_race``
         self.named_alone = False  # no structure whose effects bend to something else is wanted any more
         self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell

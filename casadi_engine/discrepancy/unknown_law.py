@@ -305,11 +305,30 @@ class _Beside:
 
 def depends_on_more(one: Addition, signal: str) -> bool:
     """True for an effect that depends on more of the motion and inputs than what a signal of its port is made of."""
-    model = one.candidate.source.model
-    acts = ca.vertcat(one.candidate.source.slots, one.candidate.source.drives, one.candidate.source.outputs)
-    known = model.ports[one.candidate.port].signals.get(signal, ca.SX())
-    moving = ca.symvar(ca.vertcat(model.x, model.u, model.d))
-    return any(ca.depends_on(acts, symbol) and not ca.depends_on(known, symbol) for symbol in moving)
+    return bool(_moving(one.candidate) - _made_of(one.candidate, signal))
+
+
+def depends_on(candidate: Candidate, signal: str) -> bool:
+    """True for a candidate that depends on a signal of its port, and on nothing else that moves."""
+    moving = _moving(candidate)
+    return bool(moving) and moving <= _made_of(candidate, signal)
+
+
+def _moving(candidate: Candidate) -> set[str]:
+    """The names of the states and inputs on which a candidate depends."""
+    own = candidate.source
+    acts = ca.vertcat(own.slots, own.drives, own.outputs)
+    return {
+        s.name()
+        for s in ca.symvar(ca.vertcat(own.model.x, own.model.u, own.model.d))
+        if ca.depends_on(acts, s)
+    }
+
+
+def _made_of(candidate: Candidate, signal: str) -> set[str]:
+    """The names of the symbols of which a signal of its port is made."""
+    known = candidate.source.model.ports[candidate.port].signals.get(signal, ca.SX())
+    return {symbol.name() for symbol in ca.symvar(known)}
 
 
 def _members(columns: Mapping[str, Mapping[str, Array]], family: Family) -> dict[str, dict[str, Array]]:

@@ -24,7 +24,7 @@ _ALONE, _BAND = 20, 1.1
 _LEAST = 0.05
 # Time constants from so many samples to this share of the record: longer ones are trends.
 _SHORTEST, _LONGEST = 1.5, 1 / 3
-_STEPS, _CLOSE = 40, 1e-5
+_STEPS, _CLOSE = 40, 1e-3
 # Standard error of a logarithm of which the data tell nothing.
 _DOUBT = 4.0
 # Power at frequency zero beside the white noise, from which the fit starts.

@@ -10,7 +10,7 @@ was no optimum, and the search goes on from there.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +20,8 @@ from casadi_engine.parameters import Parameters
 
 # Chi-squared by which a point of the 95 % region lies above the optimum; errors by which another estimate is elsewhere.
 _WITHIN, _ELSEWHERE = 4.0, 2.0
+# Share by which a region that is printed may be too short beside that with a parameter off its bound.
+_TOO_SHORT = 1.25
 # Parameters on a bound that are looked behind, and fits for each.
 _MOST, _FITS = 2, 5
 # Chi-squared by which a fit from inside has to be lower to take the place of one on a bound; so often.
@@ -146,12 +148,34 @@ def _rise(fit: Fit, other: Fit) -> float:
     return float(other.cost - fit.cost + sum(levels))
 
 
+def _reaches(here: Any, there: Any, rise: float) -> bool:
+    """True for an estimate whose 95 % region, with a parameter off its bound, reaches beyond the one that is printed;
+    rise : chi-squared there, above the fit's."""
+    own, other = _region(here), _region(there)
+    if own is None:
+        return False
+    share = math.sqrt(max(1 - rise / _WITHIN, 0.0))
+    low, high = (there.value + share * (end - there.value) for end in other or (there.value, there.value))
+    return bool(
+        here.value - low > _TOO_SHORT * (here.value - own[0])
+        or high - here.value > _TOO_SHORT * (own[1] - here.value)
+    )
+
+
+def _region(one: Any) -> tuple[float, float] | None:
+    """The 95 % region that is printed for an estimate; None without one."""
+    interval = getattr(one, "interval", None)
+    if interval is not None:
+        return float(interval[0]), float(interval[1])
+    error = one.stderr or one.quadratic
+    return (one.value - _ELSEWHERE * error, one.value + _ELSEWHERE * error) if error else None
+
+
 def _without_errors(fit: Fit, other: Fit, name: str, inside: float, rise: float) -> Fit:
     estimates: Mapping[str, Any] = fit.estimates
     moved = [
         one for one in fit.free
-        if one != name and (error := estimates[one].stderr or estimates[one].quadratic)
-        and abs(other.values[one] - fit.values[one]) > _ELSEWHERE * error
+        if one != name and one in other.estimates and _reaches(estimates[one], other.estimates[one], rise)
     ]  # fmt: skip
     if not moved:
         return fit
@@ -162,15 +186,20 @@ def _without_errors(fit: Fit, other: Fit, name: str, inside: float, rise: float)
     there = ", ".join(f"{one} = {other.values[one]:.4g}" for one in moved)
     words = (
         f"{name} {NOT_TOLD} with {name} = {inside:.4g} chi-squared is {max(rise, 0.0):.2g} higher and {there}: these "
-        f"data do not tell {name} from {' and '.join(moved)}; fix {name} where it is known, or call ce.posterior(fit)"
+        f"data do not tell {name} from {_listed(moved)}; fix {name} where it is known, or call ce.posterior(fit)"
     )
     initial = {
         record: {
             state: replace(one, stderr=None, interval=None, quadratic=one.stderr)
-            if one.stderr and abs(other.initial[record][state].value - one.value) > _ELSEWHERE * one.stderr
+            if one.stderr and _reaches(one, other.initial[record][state], rise)
             else one
             for state, one in states.items()
         }
         for record, states in fit.initial.items()
     }
     return replace(fit, estimates={**estimates, **gone}, initial=initial, messages=(words, *fit.messages))
+
+
+def _listed(names: Sequence[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last

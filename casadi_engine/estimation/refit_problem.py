@@ -42,7 +42,7 @@ _CLOSED, _CLOSINGS = 1e-2, 6
 _ENOUGH = 3
 # Rounds of shorter integration steps, each with a few steps from where the last one ended.
 _SHORTENED = 4
-_TIME_UP = "the time was up"
+TIME_UP = "the time was up"
 # Growth of a window from one horizon to the next.
 _GROWTH = 8
 
@@ -206,7 +206,7 @@ class RefitProblem:
                     break
                 place, status = self._descended(ladder[-1], place.v, list(place.nodes), most, last=True)
             except TimeUp:  # what there is stays what it was
-                status = _TIME_UP
+                status = TIME_UP
         return self._answer(place, states or list(place.nodes), status)
 
     def _shortened(self, counts: list[int], v: Array, nodes: list[Array]) -> None:
@@ -262,7 +262,7 @@ class RefitProblem:
                 converged = False
                 break
         self._steps += windows.evaluations
-        why = _TIME_UP if late() else f"the {most} steps over a horizon ran out"
+        why = TIME_UP if late() else f"the {most} steps over a horizon ran out"
         return windows.best, "converged" if converged else why
 
     def _closed(self, windows: Windows, fall: float) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -13,6 +14,8 @@ from casadi_engine.estimation.lower_optimum import merit
 
 # Half of twice the log likelihood by which the second has to be better; seconds for it, and times those of the first.
 _LOWER, _SECONDS, _TIMES = 0.1, 2.0, 3.0
+# Logarithm of the factor by which a parameter has left its start where another search is worth its time.
+_WAY = 1.0
 # What the option says then.
 BOTH = "direct, then prediction"
 
@@ -26,21 +29,48 @@ def is_lost(fit: Fit) -> bool:
     )
 
 
+def is_elsewhere(fit: Fit) -> bool:
+    """True for a fit of which a parameter is far from where its search began, or at a bound: it may have passed a lower
+    optimum on its way."""
+    for name in fit.free:
+        value, start = fit.values[name], fit.start.get(name, 0.0)
+        if fit.estimates[name].at_bound or (value * start > 0 and abs(math.log(value / start)) > _WAY):
+            return True
+    return False
+
+
 def looked_at_twice(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
-    """The fit, or a better one that begins with predictions over short pieces; of a fit that is lost in one search.
+    """The fit, or a better one of another search: of a fit that is lost by predictions over short pieces first, of one
+    that is far from its start over whole records, whose states leave fewer ways to an optimum.
 
     again(changes) : makes a fit with changed arguments
     """
     plain = fit.options.get("approach") == "direct" and fit.options.get("starts") == 1
-    if not (plain and fit.converged and fit.innovations is None and is_lost(fit)):
+    if not (plain and fit.converged and fit.innovations is None):
         return fit
+    if is_lost(fit):
+        return _another(fit, again, {"approach": "prediction"}, _TIMES, {"approach": BOTH})
+    several = fit.options.get("interval") == "auto" and fit.model.linear is None and fit.nodes > len(fit.data)
+    if several and is_elsewhere(fit):
+        return _another(fit, again, {"interval": "single", "warm": None}, 1.0, {})
+    return fit
+
+
+def _another(
+    fit: Fit,
+    again: Callable[[dict[str, Any]], Fit],
+    changes: dict[str, Any],
+    times: float,
+    said: dict[str, Any],
+) -> Fit:
+    """The fit, or that with changed arguments if it is better, in so many times what the fit took."""
     try:
-        with Deadline(_SECONDS + _TIMES * fit.timing["total"]):
-            found = again({"approach": "prediction"})
+        with Deadline(_SECONDS + times * fit.timing["total"]):
+            found = again(changes)
     except TimeUp:
         if late():
             raise
         return fit
     better = found.converged and merit(found) < merit(fit) - _LOWER
     best = found if better else fit
-    return replace(best, options={**best.options, "approach": BOTH})
+    return replace(best, options={**best.options, **said})

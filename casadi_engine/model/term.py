@@ -142,10 +142,10 @@ def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:
     """The ports of the kinds that an effect attaches to, in model order; last the links that no coupling joins."""
     links = [link for link in model.ports.links if link.kind in effect.attaches]
     listed = (port for port in model.ports if port.kind in effect.attaches)
-    return (*listed, *(link for link in links if not _joined(model, link)))
+    return (*listed, *(link for link in links if not joined(model, link)))
 
 
-def _joined(model: Model, link: Port) -> bool:
+def joined(model: Model, link: Port) -> bool:
     """True if a coupling of the model acts between the ends of a link: an effect there is one at the coupling."""
     first, second = (model.ports[name].slot for name in link.ends)
     couplings = [port.slot for port in model.ports.with_slot if port.kind == "coupling"]

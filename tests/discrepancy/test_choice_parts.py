@@ -30,7 +30,7 @@ def tried(*names, log=0.0, beyond=BEYOND + 1, failed=False):
     arrived = stub(values={}, initial={})
     return stub(
         key=key_of(*names), effects=effects, log=log, beyond=beyond, failed=failed, arrived=arrived,
-        evidence=stub(cost=-2 * log),
+        evidence=stub(cost=-2 * log), fresh=0.0,
         label=" + ".join(names),
     )  # fmt: skip
 

@@ -148,3 +148,12 @@ def test_a_signal_of_the_name_of_a_turn_is_one_function():
     made = module.families_of("drum", module.Signal("turn", ca.SX.sym("turn"), values), 4)
     assert len(made) == 1
     assert made[0][1].order == 0
+
+
+def test_a_state_that_an_effect_brings_is_no_signal_of_a_law():
+    """ "The parameter L depends on sensor_i_sensor_lag_behind" names nothing that a user has."""
+    model = vessel().with_effect(ce.effects.SensorLag(), at="sensor_P")
+    fit = ce.estimate(model, run(1), noise=ce.Noise(P=NOISE), errors="quadratic", progress=False)
+    signals = {signal.name for _, signal in module._places(null_model(fit))}
+    assert len(fit.model.states) == 2
+    assert signals == {"p", "Q", "time"}

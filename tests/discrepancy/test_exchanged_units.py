@@ -156,3 +156,28 @@ def test_a_sensor_lags_with_more_than_all_of_its_signal_where_its_error_says_so(
     assert more_than_whole([one], {"share": share}, {"share": error}) is clearly
     other = SimpleNamespace(candidate=SimpleNamespace(effect="input_lag"), amplitude="share")
     assert not more_than_whole([other], {"share": share}, {"share": error})
+
+
+@pytest.mark.parametrize(
+    ("port", "delay", "share", "told"),
+    [
+        ("sensor_i", -0.034, 1.0, True),
+        ("sensor_i", -0.003, 1.0, False),
+        ("sensor_i", -0.003, 0.02, True),  # of the lag that there is
+        ("sensor_i", 0.034, 1.0, False),
+        ("sensor_z", -0.034, 1.0, False),
+    ],
+)
+def test_no_sensor_is_behind_and_early(port, delay, share, told):
+    """A motor behind an elastic chain had been a gain of its voltage, a lag of its current sensor and a lead of it."""
+    lag, early = (
+        SimpleNamespace(
+            candidate=SimpleNamespace(effect=effect, port=at, source=SimpleNamespace(effect=None)),
+            amplitude=f"{at}.{effect}.{size}",
+            key=f"{at}.{effect}",
+            nuisance={"time": Grid(0.01, 1, steps=6, log=True)},
+        )
+        for effect, at, size in (("sensor_lag", "sensor_i", "share"), ("sensor_delay", port, "delay"))
+    )  # fmt: skip
+    values = {lag.amplitude: share, "sensor_i.sensor_lag.time": 0.035, early.amplitude: delay}
+    assert impossible([lag, early], values, None, [SimpleNamespace(duration=24.0)]) is told

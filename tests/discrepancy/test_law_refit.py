@@ -9,8 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy import law_refit
-from casadi_engine.discrepancy.law_setups import KINDS
+from casadi_engine.deadline import TimeUp
+from casadi_engine.discrepancy import additions, law_race
+from casadi_engine.discrepancy.law_refit import leading
+from casadi_engine.discrepancy.law_setups import KINDS, setups_elsewhere
+from casadi_engine.discrepancy.random_families import smooth_family
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of
 
@@ -99,13 +102,87 @@ def test_coloured_noise_alone_is_no_law():
 
 def test_windows_double_up_to_the_whole_record():
     data = record(wave, 1, "data")
-    problem = law_refit.RefitProblem(
+    problem = law_race.RefitProblem(
         stage(), (data,), stage().parameters().unconstrained(), levels={"theta": LEVEL}
     )
-    *lengths, whole = law_refit._horizons(problem)
+    *lengths, whole = law_race._horizons(problem)
     assert whole is None
     assert np.allclose(np.diff(np.log2(lengths)), 1)
     assert lengths[-1] >= data.span[1] / 2 > lengths[0]
+
+
+@pytest.fixture(scope="module")
+def searched():
+    """The refits of a stage with cogging: no law of the library, far from the model."""
+    kept = []
+
+    class AskedError(Exception):
+        """The search got there."""
+
+    def kept_and_ended(self):
+        kept.append(self)
+        raise AskedError
+
+    data = record(cogging, 1, "data")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(additions.Additions, "run", kept_and_ended)
+        with pytest.raises(AskedError):
+            ce.repair(stage(), data, starts=1, progress=False)
+    return kept[0].refits
+
+
+def test_functions_that_follow_the_motion_lead_and_are_followed_once(searched):
+    assert leading(searched)[0] == ("pivot", "angle")
+    assert ("pivot", "angle") in law_race.Race.of(searched).whole
+    begun, count = law_race.raced(searched)
+    assert begun[0].at == ("pivot", "angle")
+    assert count >= len(begun)
+    again = law_race.raced(searched)[0]
+    assert [one is other for one, other in zip(begun, again, strict=True)]
+
+
+def test_nothing_leads_that_leaves_more_than_noise_over_short_windows(searched, monkeypatch):
+    monkeypatch.setattr("casadi_engine.discrepancy.law_refit._LEADS", 0.1)
+    assert leading(searched) == []
+    monkeypatch.setattr("casadi_engine.discrepancy.law_refit.is_far", lambda null: False)
+    assert leading(searched) == []
+
+
+def test_a_function_that_needs_more_work_than_it_may_have_is_none_that_failed(searched):
+    race = law_race.Race.of(searched)
+    (setup, *_) = race.setups
+    model, parameters = setup.model, setup.parameters
+    none = searched.pool[frozenset()]
+    with pytest.raises(TimeUp):
+        law_race.short(searched, none, model, parameters, 1e-9)
+    own = law_race.Race(setups=race.setups)
+    kept, searched.race = searched.race, own
+    try:
+        law_race._through(searched, none, {setup.at: setup}, 1e-9)
+        assert not own.begun
+        assert not own.failed
+        law_race._through(searched, none, {setup.at: setup}, 1.0)
+        assert setup.at in own.begun
+    finally:
+        searched.race = kept
+
+
+def test_a_parameter_may_change_with_time(searched):
+    """Time was no signal of a refitted function, so that a state which falls with it took its place."""
+    family = smooth_family("parameter_J", "time", np.array([0.0, 1.0]))
+    (setup,) = setups_elsewhere(searched, searched.pool[frozenset()], family)
+    (data,) = searched.refitter.data
+    assert (setup.family.low, setup.family.high) == pytest.approx((0.0, data.duration), rel=0.01)
+    ode = setup.model.closed_ode
+    assert ca.depends_on(ode, setup.model.t)
+
+
+def test_the_same_function_by_another_name_is_followed_once():
+    one, other, third = (
+        law_race.Begun(None, None, SimpleNamespace(cost=cost)) for cost in (10.0, 10.0 + 1e-7, 10.1)
+    )
+    assert other.is_again([one])
+    assert not third.is_again([one])
 
 
 def test_a_port_at_which_nothing_can_act_has_no_law():

@@ -95,7 +95,7 @@ def test_the_same_along_the_records_and_not_elsewhere_is_no_second_name():
 
 class _Found:
     def __init__(self, log):
-        self.log, self.beyond, self.effects = log, 10.0, ()
+        self.log, self.beyond, self.effects, self.fresh = log, 10.0, (), 0.0
         self.evidence = SimpleNamespace(cost=-2 * log)
 
 

@@ -45,6 +45,7 @@ def tried(effect, log, mechanical=True, **values):
         arrived=arrived,
         beyond=9.0,
         evidence=SimpleNamespace(cost=-2 * log),
+        fresh=0.0,
     )
 
 

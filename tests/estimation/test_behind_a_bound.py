@@ -116,6 +116,33 @@ def test_chi_squared_counts_in_the_noise_that_there_is(cost, sigma, ratio, doubt
     assert [value for _, value in held.fixed] == pytest.approx(halves)
 
 
+@pytest.mark.parametrize(
+    ("printed", "there", "gone"),
+    [
+        # at a rise of 1 the region there is 2 errors times the root of 3/4, and 2 of its own here: 1.25 of these may be
+        ({"stderr": 0.1}, {"value": 3.07, "stderr": 0.1}, False),
+        ({"stderr": 0.1}, {"value": 3.08, "stderr": 0.1}, True),
+        ({"stderr": 0.1}, {"value": 3.0, "stderr": 0.14}, False),
+        ({"stderr": 0.1}, {"value": 3.0, "stderr": 0.15}, True),
+        ({"stderr": None, "interval": (2.9, 3.4)}, {"value": 3.3, "stderr": 0.1}, False),
+        ({"stderr": None, "interval": (2.9, 3.4)}, {"value": 3.4, "stderr": 0.1}, True),
+        ({"stderr": None, "interval": (2.9, 3.4)}, {"value": 2.9, "stderr": 0.1}, True),
+    ],
+)
+def test_an_error_is_no_error_where_the_region_off_the_bound_reaches_beyond_it(printed, there, gone):
+    """A solar cell whose resistance rests at its upper bound: nVt 1.418 +- 0.038 covered the truth in 0.77 of fits."""
+    here = replace(on_its_bound().estimates["H"], **printed)
+    fit = on_its_bound()
+    fit = replace(fit, estimates={**fit.estimates, "G": replace(fit.estimates["G"], stderr=None), "H": here})
+    other = replace(elsewhere(fit, cost=101.0), initial=fit.initial)
+    other = replace(other, estimates={**other.estimates, "H": replace(here, interval=None, **there)})
+    held = Held(other)
+    found = told_from_their_bounds(fit, held, held.again)
+    assert (found.estimates["H"].stderr, found.estimates["H"].interval) == (
+        (None, None) if gone else (here.stderr, here.interval)
+    )
+
+
 @pytest.mark.parametrize("other", [None, "not converged"])
 def test_a_fit_that_cannot_be_made_says_nothing(other):
     fit = on_its_bound()

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.estimation.second_look import BOTH, is_lost, looked_at_twice
@@ -23,6 +24,20 @@ class Found:
     noise: dict = field(default_factory=dict)
     traces: dict = field(default_factory=dict)
     timing: dict = field(default_factory=lambda: {"total": 0.1})
+    model: object = field(default_factory=lambda: SimpleNamespace(linear=None))
+    nodes: int = 5
+    data: tuple = (None,)
+    start: dict = field(default_factory=dict)
+    values: dict = field(default_factory=dict)
+    bound: bool = False
+
+    @property
+    def free(self):
+        return tuple(self.values)
+
+    @property
+    def estimates(self):
+        return {name: SimpleNamespace(at_bound=self.bound) for name in self.values}
 
     @property
     def fit_percent(self):
@@ -69,8 +84,6 @@ def test_an_oscillator_that_was_met_at_a_wrong_frequency_is_found():
     b.ode("v", -(w**2) * x - 0.02 * x**3)
     b.output("x", x)
     time = np.linspace(0, 20, 200)
-    from scipy.integrate import solve_ivp
-
     swing = solve_ivp(
         lambda s, z: [z[1], -4 * z[0] - 0.02 * z[0] ** 3], (0, 20), [1.0, 0.0], t_eval=time, rtol=1e-9
     )
@@ -79,3 +92,69 @@ def test_an_oscillator_that_was_met_at_a_wrong_frequency_is_found():
     fit = ce.estimate(b.model(), record, initial={"x": 1.0, "v": 0.0}, interval="single", progress=False)
     assert fit.values["w"] == pytest.approx(2.0, abs=0.01)
     assert SimpleNamespace(**fit.options).approach in ("direct", BOTH)
+
+
+SEVERAL = {"approach": "direct", "starts": 1, "interval": "auto"}
+AWAY = {"percent": 99.0, "options": SEVERAL, "start": {"a": 1.0}, "values": {"a": 3.0}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "looked"),
+    [
+        ({}, True),
+        ({"values": {"a": 2.5}}, False),
+        ({"values": {"a": 0.3}}, True),
+        ({"values": {"a": -1.0}}, False),  # that it changes its sign says nothing of how far that is
+        ({"values": {"a": 1.0}, "bound": True}, True),
+        ({"nodes": 1}, False),
+        ({"options": {**SEVERAL, "interval": "single"}}, False),
+        ({"model": SimpleNamespace(linear=object())}, False),
+        ({"converged": False}, False),
+    ],
+)
+def test_a_fit_far_from_its_start_is_searched_over_whole_records_too(changes, looked):
+    asked = []
+
+    def again(changed):
+        asked.append(changed)
+        return Found(40.0)
+
+    found = looked_at_twice(Found(50.0, **AWAY | changes), again)
+    assert asked == ([{"interval": "single", "warm": None}] if looked else [])
+    assert found.cost == (40.0 if looked else 50.0)
+
+
+def test_a_fermentation_whose_lag_was_told_too_long_is_found():
+    """One search of 11 intervals ended at mu 2.9 with a 95 % interval of 2.4 to 3.0, and validation passed: 0.45 is the
+    truth, which a search over the whole record finds from the same start."""
+    b = ce.Blueprint("ferment", time_unit="h")
+    mu = b.parameter("mu", 0.3, unit="1/h", min=0.02, max=3)
+    half = b.parameter("Ks", 0.5, unit="g/L", min=0.01, max=10)
+    share = b.parameter("Y", 0.4, unit="-", min=0.05, max=1)
+    wakes = b.parameter("kl", 0.5, unit="1/h", min=0.02, max=10)
+    x, s, q = (b.state(name, unit=unit) for name, unit in (("X", "g/L"), ("S", "g/L"), ("q", "-")))
+    flow = b.input("D", unit="1/h")
+    growth = mu * q / (1 + q) * s / (half + s) * x
+    b.ode("X", growth - flow * x)
+    b.ode("S", -growth / share + flow * (20 - s))
+    b.ode("q", wakes * q)
+    b.output("Xm", x, unit="g/L")
+    b.output("Sm", s, unit="g/L")
+    time = np.linspace(0, 24, 41)
+    fed = np.where(time > 12, 0.1, 0.0)
+
+    def rate(t, z):
+        grows = 0.45 * z[2] / (1 + z[2]) * z[1] / (0.8 + z[1]) * z[0]
+        d = np.interp(t, time, fed)
+        return [grows - d * z[0], -grows / 0.5 + d * (20 - z[1]), 0.6 * z[2]]
+
+    made = solve_ivp(
+        rate, (0, 24), [0.2, 10.0, 0.05], t_eval=time, rtol=1e-9, atol=1e-12, method="LSODA", max_step=0.2
+    )
+    rng = np.random.default_rng(1)
+    mass, left = made.y[0] + 0.03 * rng.standard_normal(41), made.y[1] + 0.15 * rng.standard_normal(41)
+    units = {"D": "1/h", "Xm": "g/L", "Sm": "g/L"}
+    record = ce.Experiment.from_arrays("r", time=time * 3600, units=units, D=fed, Xm=mass, Sm=left)
+    fit = ce.estimate(b.model(), record, initial={"q": 0.05}, progress=False)
+    assert fit.values["mu"] == pytest.approx(0.45, abs=0.05)
+    assert fit.values["kl"] == pytest.approx(0.6, abs=0.1)
