@@ -77,7 +77,13 @@ def headline(repair: Repair) -> str:
     elif repair.unknown and not is_of_rounding(repair):
         doubt += ", and more that no effect of the library names"
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
-    return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
+    hidden = "; the residual is coloured, and more may hide in it" if _may_hide_more(repair) else ""
+    return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}{hidden}"
+
+
+def _may_hide_more(repair: Repair) -> bool:
+    """True where what is named leaves coloured noise, and nothing else says that more may be missing."""
+    return repair.unknown is None and repair.noise is not None and repair.noise.is_coloured
 
 
 def _more_probable(repair: Repair) -> list[str]:

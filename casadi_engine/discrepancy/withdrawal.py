@@ -51,7 +51,7 @@ def held_to_sizes(repair: Repair) -> Repair:
         return repair
     words = (
         f"the gap on fresh data is smaller with {' and '.join(untold)}, whose size may be zero within its errors, "
-        "or is at a bound: that is no confirmation"
+        "is at a bound, or has no error and a shape at a bound: that is no confirmation"
     )
     return replace(repair, confirmed=None, messages=(words, *repair.messages))
 

@@ -217,9 +217,14 @@ def of_either_sign(one: Estimate) -> str:
 
 
 def is_untold(one: FoundEffect) -> bool:
-    """True for an effect whose size its errors do not tell from none, or which has grown to a bound of it."""
+    """True for an effect whose size its errors do not tell from none, or which has grown to a bound of it; or whose
+    size has no error, and its shape is at a bound."""
     size = one.amplitude
-    return bool(of_either_sign(size)) or size.at_bound is not False
+    if of_either_sign(size) or size.at_bound is not False:
+        return True
+    known = size.fixed or size.stderr is not None or size.interval is not None
+    shapes = (own for own in one.parameters.values() if own is not size and not own.fixed)
+    return not known and any(own.at_bound is not False for own in shapes)
 
 
 def acts_as(one: FoundEffect, name: str, model: Model) -> str:

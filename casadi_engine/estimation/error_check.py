@@ -16,6 +16,8 @@ and where it bends there, along each of them. Three numbers tell:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +46,7 @@ from casadi_engine.estimation.integration import shorten_steps
 from casadi_engine.estimation.looked_along import along_parameters, along_states, together
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
-from casadi_engine.estimation.standard_errors import Uncertainty
+from casadi_engine.estimation.standard_errors import Uncertainty, efficiency
 from casadi_engine.estimation.starts import chained_nodes
 from casadi_engine.estimation.uncertainty import chained_gradient
 
@@ -137,6 +139,15 @@ def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
 # ---- around
 
 
+class _There(NamedTuple):
+    """What is some way from an optimum: the rise of chi-squared; the change of each record's residual (K, M); and felt,
+    that of what the loss makes of it, the same for squares."""
+
+    rise: float
+    change: list[Array]
+    felt: list[Array]
+
+
 class _Around:
     """The model around an optimum."""
 
@@ -154,9 +165,14 @@ class _Around:
         self.long = not all(
             isinstance(point.parts, list) for point in search.problem.at(best.solution.x).records
         )
-        self._free = not self.long and all(
-            record.linear and np.isinf(search.upper[lay.at : lay.at + lay.n]).all()
-            for record, lay in zip(search.records, search.problem.layouts, strict=True)
+        # squares tell the best initial states of a linear record at once
+        self._free = (
+            not self.long
+            and not search.loss.robust
+            and all(
+                record.linear and np.isinf(search.upper[lay.at : lay.at + lay.n]).all()
+                for record, lay in zip(search.records, search.problem.layouts, strict=True)
+            )
         )
         self._to_printed = np.ones(len(self.entries))
         self._to_printed[:nv] = search.coordinates.slope(errors.v)
@@ -181,7 +197,7 @@ class _Around:
         there = [self._simulated(move, far, printed=False) for far in (-sides[0], sides[1])]
         if there[0] is None or there[1] is None:
             return True
-        return count * self._even(sides[0], sides[1], there[0][1], there[1][1]) > FLAT
+        return count * self._even(sides[0], sides[1], there[0].change, there[1].change) > FLAT
 
     def doubts(self, move: Array) -> list[Doubt]:
         """What is seen to both sides of the optimum.
@@ -218,8 +234,8 @@ class _Around:
             return [self._without_value(move)]
         if self._plainly(fars, back, forth):
             return []
-        low, bent, off = self._seen(move, fars[0], *back)
-        high, other, away = self._seen(move, fars[1], *forth)
+        low, bent, off = self._seen(move, fars[0], back)
+        high, other, away = self._seen(move, fars[1], forth)
         curvature = max(bent, other)
         if curvature > RUGGED:
             near = max(fars[0], -_SHORT), min(fars[1], _SHORT)
@@ -269,7 +285,7 @@ class _Around:
         if _room(self.lower, self.upper, self.entries, far * move) < 1:
             return 0.0
         there = self._simulated(move, far, printed=False)
-        return 0.0 if there is None else max(self._seen(move, far, *there)[0], 0.0)
+        return 0.0 if there is None else max(self._seen(move, far, there)[0], 0.0)
 
     def _own_curvature(self, move: Array, fars: tuple[float, float], *, printed: bool) -> float:
         """The intrinsic curvature over steps so short that a straight line is the surface's own way."""
@@ -278,7 +294,7 @@ class _Around:
             there = self._simulated(move, far, printed=printed)
             if there is None:
                 return np.inf
-            found = max(found, self._seen(move, far, *there)[1])
+            found = max(found, self._seen(move, far, there)[1])
         return found
 
     def _told(self, move: Array, rises: tuple[float, float], curvature: float, bends: Array) -> list[Doubt]:
@@ -314,16 +330,18 @@ class _Around:
             return self.errors.v + step[:nv], step
         return coordinates.of(coordinates.values(self.errors.v) + (self._to_printed * step)[:nv]), step
 
-    def _simulated(self, move: Array, far: float, *, printed: bool) -> tuple[float, list[Array]] | None:
-        """Rise of chi-squared and change of each record's residual (K, M); None where the model has no value."""
+    def _simulated(self, move: Array, far: float, *, printed: bool) -> _There | None:
+        """What is there so far along a line; None where the model has no value."""
         v, step = self._moved(move, far, printed=printed)
         try:
             found = self._residuals(v, step)
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
             return None
         rise = printed_cost(self.search, v, found) - self.cost
-        change = [there - here for there, here in zip(found, self.residuals, strict=True)]
-        return (rise, change) if np.isfinite(rise) else None
+        loss, pairs = self.search.loss, list(zip(found, self.residuals, strict=True))
+        change = [there - here for there, here in pairs]
+        felt = [loss.slope(there) - loss.slope(here) for there, here in pairs] if loss.robust else change
+        return _There(rise, change, felt) if np.isfinite(rise) else None
 
     def _integrated(self, move: Array, fars: tuple[float, float], *, printed: bool) -> bool:
         """Give the records steps that do at these places too; True if any has shorter ones now."""
@@ -351,40 +369,55 @@ class _Around:
     def _plainly(
         self,
         fars: tuple[float, float],
-        back: tuple[float, list[Array]],
-        forth: tuple[float, list[Array]],
+        back: _There,
+        forth: _There,
     ) -> bool:
         """True if no slopes are needed to see that the quadratic holds: the even part of the changes is nearly 0."""
         a, b = -fars[0], fars[1]
-        if not all(RISES[0] < one[0] / far**2 < RISES[1] for one, far in ((back, a), (forth, b))):
+        if not all(
+            RISES[0] < self._shares[1] * one.rise / far**2 < RISES[1] for one, far in ((back, a), (forth, b))
+        ):
             return False
-        return self._even(a, b, back[1], forth[1]) < FLAT
+        return self._even(a, b, back.change, forth.change) < FLAT
 
     def _even(self, a: float, b: float, back: Sequence[Array], forth: Sequence[Array]) -> float:
         """The curvature that the even part of the changes of the residuals is, a standard errors back and b forth."""
         even = sum(float(np.sum((a * q + b * p) ** 2)) for p, q in zip(back, forth, strict=True))
         return float(self._radius * 2 * np.sqrt(even)) / (a * b * (a + b))
 
-    def _seen(self, move: Array, far: float, rise: float, change: list[Array]) -> tuple[float, float, Array]:
+    def _seen(self, move: Array, far: float, there: _There) -> tuple[float, float, Array]:
         """Rise of chi-squared over the quadratic's, curvature, and the standard errors (nv,) by which the best values
         of the parameters lie off the quadratic's, for a whole step."""
         search, nv, step = self.search, self.search.problem.nv, far * move
-        gradient = self._along_slopes(change)
         prior = search.problem.priors.evaluate(self.errors.v)[3] @ step[:nv]
-        gradient[:nv] += prior
-        size = sum(float(np.sum(q**2)) for q in change) + float(step[:nv] @ prior)
+        held = np.append(prior, np.zeros(len(self.entries) - nv))
+        plain = self._along_slopes(there.change) + held
+        gradient = plain if there.felt is there.change else self._along_slopes(there.felt) + held
+        size = sum(float(np.sum(q**2)) for q in there.change) + float(step[:nv] @ prior)
         matrix = self.errors.kept
-        inside, moved = float(gradient @ matrix @ gradient), matrix[:nv] @ gradient
-        outside = max(size - inside, 0.0)
+        squares, bends = self._shares
+        inside, moved = bends * float(gradient @ matrix @ gradient), bends * (matrix[:nv] @ gradient)
+        outside = max(size - squares * float(plain @ matrix @ plain), 0.0)
         # where initial states are at their best already, a profile lowers the rise by the parameters alone
-        own = float(moved @ self._inverse @ moved) if self._free else inside
-        beside = max(own - float(gradient @ move) ** 2, 0.0)
+        own = float(moved @ self._inverse @ moved) / bends if self._free else inside
+        beside = max(own - bends * float(gradient @ move) ** 2, 0.0)
         # whitened innovations change with the noise levels too, which is no bend of the model
         bent = 0.0 if search.predictor.kind == "process" else float(np.sqrt(outside))
         sizes = np.sqrt(np.maximum(np.diag(matrix)[:nv], 0.0))
         with np.errstate(divide="ignore", invalid="ignore"):
             off = np.where(sizes > 0, np.abs(moved - step[:nv]) / sizes, 0.0) * (FAR / far) ** 2
-        return (rise - beside) / far**2, self._radius * 2 * bent / far**2, off
+        return bends * (there.rise - beside) / far**2, self._radius * 2 * bent / far**2, off
+
+    @cached_property
+    def _shares(self) -> tuple[float, float]:
+        """What the covariance is multiplied by to be the inverse of the squares of the slopes, and of the curvature of
+        the loss: both 1 for squares."""
+        loss, residuals = self.search.loss, zip(self.residuals, self.search.records, strict=True)
+        if not loss.robust:
+            return 1.0, 1.0
+        r = np.concatenate([found[record.observation.valid] for found, record in residuals])
+        share, curvature = efficiency(loss, r, self.search.lost), loss.curvature(r)
+        return share, share / max(1.0 if curvature is None else float(np.mean(curvature)), 1e-9)
 
     def _residuals(self, v: Array, step: Array) -> list[Array]:
         """The weighted residual (K, M) of each record after a step (N,) to v."""
