@@ -246,7 +246,7 @@ def held_to_fresh_data(repair: Repair) -> Repair:
         return held
     names = " and ".join(f"{one.name} at {one.at}" for one in held.effects)
     words = f"{names} describes the gap best, but fresh data do not confirm that a sensor is at fault"
-    unknown = held.unknown or Unknown(words, {one.key: one.p_value for one in held.effects})
+    unknown = repair.unknown or Unknown(words, {one.key: one.p_value for one in held.effects})
     return withdrawn(held, _why(held), unknown)
 
 
@@ -282,7 +282,10 @@ def _held(repair: Repair) -> Repair:
     # several effects together bend to what none of them is, unless they close all but a tenth of the squares
     if confirmed and len(repair.effects) > 1 and not is_louder(repair) and _left(repair) ** 2 > SEEN:
         confirmed = False
-    return replace(repair, confirmed=confirmed, messages=(misfit, *repair.messages))
+    unknown = repair.unknown
+    if unknown is None and repair.effects and not is_louder(repair):  # what is left there has no name
+        unknown = Unknown(misfit, {})
+    return replace(repair, confirmed=confirmed, unknown=unknown, messages=(misfit, *repair.messages))
 
 
 def _coloured_doubt(repair: Repair) -> str | None:

@@ -16,14 +16,25 @@ class Answer:
     messages: tuple[str, ...] = ()
 
 
-def effect(value, error, side=False):
-    amplitude = Estimate(value, error, "N m", side, None, fixed=False)
-    return SimpleNamespace(name="coulomb_friction", at="shaft", amplitude=amplitude)
+def effect(value, error, side=False, *, shape=False, interval=None):
+    amplitude = Estimate(value, error, "N m", side, None, fixed=False, interval=interval)
+    fading = Estimate(0.23, None, "rad/s", shape, None, fixed=False)
+    parameters = {"torque": amplitude, "fading": fading}
+    return SimpleNamespace(name="stribeck_friction", at="shaft", amplitude=amplitude, parameters=parameters)
 
 
 @pytest.mark.parametrize(
     ("size", "confirmed"),
-    [(effect(2.0, 0.1), True), (effect(1.6e7, 2.5e7), None), (effect(2604.0, None, "max"), None)],
+    [
+        (effect(2.0, 0.1), True),
+        (effect(1.6e7, 2.5e7), None),
+        (effect(2604.0, None, "max"), None),
+        # a peak at the lowest speeds that there are, beside dry friction whose corner is still rounded
+        (effect(24.1, None, shape="min"), None),
+        (effect(24.1, None), True),
+        (effect(24.1, 0.3, shape="min"), True),
+        (effect(24.1, None, shape="min", interval=(22.0, 26.0)), True),
+    ],
 )
 def test_a_size_that_may_be_zero_or_is_at_a_bound_confirms_nothing(size, confirmed):
     found = held_to_sizes(Answer((size,)))
@@ -31,5 +42,6 @@ def test_a_size_that_may_be_zero_or_is_at_a_bound_confirms_nothing(size, confirm
     assert len(found.messages) == (confirmed is None)
     for words in found.messages:
         assert (
-            "coulomb_friction at shaft, whose size may be zero within its errors, or is at a bound" in words
-        )
+            "stribeck_friction at shaft, whose size may be zero within its errors, is at a bound, or has no error and "
+            "a shape at a bound: that is no confirmation"
+        ) in words

@@ -445,6 +445,36 @@ def test_what_is_still_unexplained_stands_in_the_headline(repaired):
     assert "and more that" not in headline(replace(repaired, unknown=None))
 
 
+@pytest.mark.parametrize(("chi2", "p", "more"), [(4.26, 1e-9, True), (4.26, 0.3, False), (1.0, 0.3, False)])
+def test_what_fresh_data_hold_beside_what_is_named_has_no_name(repaired, chi2, p, more):
+    """A hidden wall was a lag, a gain and a step, "confirmed on fresh data" of which 4.26 of chi2/N was left; what is
+    white is noisier data."""
+    gaps = repaired.gaps
+    gap = replace(gaps.estimation_after.gap, chi2_per_sample=1.0, samples=400)
+    own = replace(gaps.estimation_after, gap=gap)
+    before = replace(own, gap=replace(gap, chi2_per_sample=157.0))
+    after = replace(own, gap=replace(gap, chi2_per_sample=chi2), whiteness_p={"fresh": {"omega": p}})
+    gaps = replace(gaps, estimation_after=own, validation_before=before, validation_after=after)
+    noise = replace(repaired.noise, scatter={}, colour={}, is_coloured=False, sigma={"omega": (0.1, True)})
+    first = replace(
+        repaired, unknown=None, confirmed=True, gaps=gaps, noise=noise, effects=repaired.effects[:1]
+    )
+    found = held_to_fresh_data(first)
+    assert (found.unknown is not None) == more
+    assert ("and more that no effect of the library names" in headline(found)) == more
+
+
+def test_what_is_named_in_coloured_noise_says_that_more_may_hide(repaired):
+    plain = replace(repaired, unknown=None, noise=replace(repaired.noise, is_coloured=False))
+    coloured = replace(plain, noise=replace(plain.noise, colour={"run/omega": 3}, is_coloured=True))
+    hidden = "; the residual is coloured, and more may hide in it"
+    assert headline(coloured) == headline(plain) + hidden
+    known = replace(
+        coloured, unknown=Unknown("the residual of omega in run is not white", {"run/omega": 1e-9})
+    )
+    assert hidden not in headline(known)
+
+
 @pytest.mark.parametrize(("at", "confirmed", "named"), [
     ("sensor_omega", True, True), ("sensor_omega", False, False), ("coupling", False, True)
 ])  # fmt: skip
