@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, is_carried, scatter_carried
-from casadi_engine.discrepancy.clocks import clock_of
+from casadi_engine.discrepancy.clocks import Clock, clock_of
 from casadi_engine.discrepancy.common_noise import BESIDE
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.evidence import FACTOR
@@ -40,6 +40,8 @@ from casadi_engine.model import Model
 
 # Candidates drawn in the class matrix.
 _MATRIX = 24
+# Functions that are named beside the most probable one, where the data do not tell them from it.
+_RIVALS = 2
 _LIKE = 0.8
 # Log odds beyond which no number is said.
 _SAID = 9.0
@@ -214,7 +216,8 @@ def unknown_of(screened: Screened) -> Unknown | None:
         return Unknown(f"{words}: something acts, or is picked up by the sensor, at that frequency", alarms)
     if family is None or course is None or family.name not in alarms:
         if leftover.driven_line is not None:
-            return Unknown(_answers(leftover.driven_line, leftover.driven[leftover.driven_line]), alarms)
+            inputs = leftover.driven[leftover.driven_line]
+            return Unknown(_answers(leftover.driven_line, inputs, clock_of(screened.null.model)), alarms)
         first = next(iter(alarms)).rsplit("/", 2)
         if first[2].startswith(BESIDE):
             other = first[2].removeprefix(BESIDE)
@@ -225,14 +228,16 @@ def unknown_of(screened: Screened) -> Unknown | None:
     return Unknown(words, alarms, family.port, family.signal, leftover.family_p, course)
 
 
-def _answers(name: str, inputs: Sequence[str]) -> str:
+def _answers(name: str, inputs: Sequence[str], clock: Clock) -> str:
     """What a line says that the inputs have too."""
     record, output, line = name.rsplit("/", 2)
     noun, verb = ("input", "does") if len(inputs) == 1 else ("inputs", "do")
     at = line.removeprefix("line ")
+    hertz = float(line.split()[-2])
+    often = clock.period(hertz) if hertz else ""
     return (
-        f"the residual of {output} in {record} repeats what the {noun} {' and '.join(inputs)} {verb} {at}: "
-        "what is missing answers to it"
+        f"the residual of {output} in {record} repeats what the {noun} {' and '.join(inputs)} {verb} {at}{often}: "
+        "what is missing answers to it, or comes back as often by itself"
     )
 
 
@@ -254,14 +259,16 @@ def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
         return None
     family, odds = law.course.family, math.exp(min(law.log, _SAID))
     words = law_words(last.fit.model, family)
+    rivals = [law_words(last.fit.model, one) for one in law.rivals[:_RIVALS]]
+    others = "".join(f", or {said}" for said in dict.fromkeys(rivals) if said != words)
     names = " and ".join(one.name for one in last.effects)
     much = f"{odds:.2g} times" if law.log < _SAID else "far"
     if names and law.is_beside:
-        words += f"{likeness_words(law.course)}, beside {names}"
+        words += f"{likeness_words(law.course)}{others}, beside {names}"
         return Unknown(words, {}, family.port, family.signal, None, law.course)
     if not names:
         rest = "noise of that colour" if last.screened.noise.colour else "noise alone"
-        words += f"{likeness_words(law.course)}: {much} more probable than {rest}"
+        words += f"{likeness_words(law.course)}{others}: {much} more probable than {rest}"
     elif law.is_curve and odds < 1:
         words += f", in the place of {names}, explains no less: fewer numbers alone speak for these"
     elif odds < FACTOR:
@@ -272,7 +279,10 @@ def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
             if law.excludes or law.share > 1
             else f", which explains {100 * law.share:.0f} % of what that does"
         )
-        words += f"{likeness_words(law.course)}: {much} more probable than {names}, the nearest of the library{near}"
+        words += (
+            f"{likeness_words(law.course)}{others}: {much} more probable than {names}, the nearest of the "
+            f"library{near}"
+        )
     return Unknown(words, {}, family.port, family.signal, None, law.course, odds)
 
 

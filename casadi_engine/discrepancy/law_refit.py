@@ -28,7 +28,7 @@ from casadi_engine.discrepancy.law_setups import Setup
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.random_families import Course, Family, course_of
 from casadi_engine.discrepancy.refits import Refits, Tried
-from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of
+from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of, not_told_from
 
 # Those go on to the whole record whose chi-squared over short windows is within such a factor of the least.
 _NEAR = 2.0
@@ -119,7 +119,10 @@ def _most_probable(followed: Sequence[Followed], none: Tried, tried: Tried) -> U
     zero, named, law = (evidence(own, levels) for own in (none.digest, tried.digest, best))
     share = (zero.cost - named.cost) / (zero.cost - law.cost) if zero.cost > law.cost else 1.0
     course, alike = _course(best, one.null, one.setup, levels), len(tried.effects) > 1
-    return UnknownLaw(course, log - named.log, share, alike, near_of(tried, one.setup.family.port))
+    rivals = not_told_from(one.setup.family, [(own.setup.family, odds) for own, odds, _ in found])
+    return UnknownLaw(
+        course, log - named.log, share, alike, near_of(tried, one.setup.family.port), rivals=rivals
+    )
 
 
 def _takes_the_colour(before: NullModel, after: NullModel) -> bool:

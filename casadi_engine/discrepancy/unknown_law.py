@@ -57,6 +57,8 @@ from casadi_engine.discrepancy.refits import Refits, Tried
 _COLOURED = 3
 # The most probable functions of what a port does not know that are refitted too.
 _REFITTED = 3
+# Difference of log evidence of a function and itself, by another name.
+_SAME = 0.01
 # Powers of the usual factor by which a law may be less probable than the effects that add up to it.
 _WORSE = 5
 # Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
@@ -79,6 +81,7 @@ class UnknownLaw:
         of them is a law there itself: what they do is no imitation of it then
     price : the part of the log that is paid for further names, not told by the data
     others : the functions that come first, the most probable one among them
+    rivals : functions that the data do not tell from the most probable one, the best first
     imitators : how many of the effects do nothing beside the function: one name that comes near is worth keeping,
         several that together imitate a function are not
     """
@@ -92,6 +95,7 @@ class UnknownLaw:
     price: float = 0.0
     imitators: int = 0
     others: tuple[Family, ...] = ()
+    rivals: tuple[Family, ...] = ()
 
     @property
     def is_beside(self) -> bool:
@@ -189,8 +193,28 @@ def unknown_law(
         further_by = _further(both, best, refits.levels) - math.log(choices)
     several = len(effects) > 1
     return UnknownLaw(
-        course, log, share, several, near_of(tried, port), further_by, price, others=_first_of(found)
+        course,
+        log,
+        share,
+        several,
+        near_of(tried, port),
+        further_by,
+        price,
+        others=_first_of(found),
+        rivals=not_told_from(best.family, [(one.family, one.log) for one in found]),
     )
+
+
+def not_told_from(best: Family, found: Sequence[tuple[Family, float]]) -> tuple[Family, ...]:
+    """The functions that are not excluded beside the best of those found, which come with their log evidence; no other
+    name of the same function, which has the same evidence."""
+    top = next(log for family, log in found if family is best)
+    near = [
+        (log, family)
+        for family, log in found
+        if family is not best and log > top - math.log(FACTOR) and abs(log - top) > _SAME
+    ]
+    return tuple(family for _, family in sorted(near, key=lambda one: -one[0]))
 
 
 def _first_of(found: Sequence[Rival]) -> tuple[Family, ...]:

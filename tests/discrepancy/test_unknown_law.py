@@ -3,6 +3,7 @@
 import math
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -15,7 +16,14 @@ from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.refits import Refits
 from casadi_engine.discrepancy.repaired import Unknown, in_its_place
 from casadi_engine.discrepancy.screening import screen
-from casadi_engine.discrepancy.unknown_law import UnknownLaw, depends_on_more, does_more, imitators
+from casadi_engine.discrepancy.unknown_law import (
+    UnknownLaw,
+    depends_on,
+    depends_on_more,
+    does_more,
+    imitators,
+    not_told_from,
+)
 
 
 def brake(speed):
@@ -130,6 +138,22 @@ def test_a_law_in_words(port, signal, order, words):
     assert law_words(ce.one_inertia(), family) == words
 
 
+@pytest.mark.parametrize(
+    ("acts", "signal", "own"),
+    [
+        (lambda w, u: -w * ca.fabs(w), "speed", True),
+        (lambda w, u: -w * u, "speed", False),
+        (lambda w, u: ca.SX(1.0), "speed", False),  # of nothing that moves
+        (lambda w, u: -w, "angle", False),  # the port has none
+    ],
+)
+def test_a_candidate_depends_on_a_signal_of_its_port_and_on_nothing_else(acts, signal, own):
+    model = ce.one_inertia()
+    none = ca.SX.zeros(1, 1)
+    source = SimpleNamespace(model=model, slots=acts(model.x[0], model.u[0]), drives=none, outputs=none)
+    assert depends_on(SimpleNamespace(source=source, port="engine"), signal) is own
+
+
 def test_an_answer_is_kept_where_the_law_cannot_be_told(monkeypatch):
     def fails(*_, **__):
         raise np.linalg.LinAlgError("SVD did not converge")
@@ -153,6 +177,31 @@ def test_a_share_above_all_that_a_law_does_is_not_said(share, said):
     words = in_place_of(last, UnknownLaw(course, 9.5, share)).sentence
     assert words.endswith("the nearest of the library, which explains 90 % of what that does") is said
     assert ("explains" in words) is said
+
+
+def test_laws_that_the_data_do_not_tell_apart_are_named_together():
+    """ "The parameter m is not constant: it depends on F" stood as a fact where other functions did as well."""
+    speed, place, drive, time = (
+        Family(port, signal, (0,), np.ones(1), 0.0, 1.0, np.ones(61))
+        for port, signal in (
+            ("engine", "speed"),
+            ("engine", "place"),
+            ("input_T", "value"),
+            ("engine", "time"),
+        )
+    )
+    found = [(time, -3.1), (drive, -1.0), (speed, 0.0), (place, 0.001)]  # log(20) is 3.0
+    assert not_told_from(speed, found) == (drive,)  # the place is the speed by another name
+    assert not_told_from(drive, [(drive, -1.0), (time, -3.1), (speed, -1.5)]) == (speed, time)
+    course = SimpleNamespace(family=speed, looks_like={"cubic": 0.9})
+    last = SimpleNamespace(
+        fit=SimpleNamespace(model=ce.one_inertia()), effects=(SimpleNamespace(name="drag at engine"),)
+    )
+    words = in_place_of(last, UnknownLaw(course, 9.5, 0.5, rivals=(drive, drive, time))).sentence
+    assert words.startswith(
+        "an unknown torque at engine that depends on its speed and looks cubic, or the input T acts as another "
+        "function of its value: far more probable than drag at engine"
+    )
 
 
 @pytest.mark.parametrize(
