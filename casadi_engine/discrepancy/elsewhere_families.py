@@ -74,9 +74,7 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
     made: dict[str, Signal] = {
         name: Signal(name, symbol, along(null, symbol)) for name, symbol in [*every, (TIME, model.t)]
     }
-    # a sensor may feel what was recorded and acts on nothing else
-    acting = ca.vertcat(model.ode, model.laws, model.drive_expressions, model.output_expressions, ca.SX(0))
-    unused = [u.name for k, u in enumerate(model.inputs) if not ca.depends_on(acting, model.u[k])]
+    unused = unused_inputs(model)
     found = []
     for port in model.ports:
         if port.kind == "parameter" and "." not in port.parameter and _acts(model, port):
@@ -88,6 +86,12 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
             own = list(port.signals.values())
             found += [(port, made[name]) for name, symbol in every if not _is_known(symbol, own)]
     return found
+
+
+def unused_inputs(model: Model) -> list[str]:
+    """The inputs that were recorded and act on nothing: something may act by them, and a sensor may feel them."""
+    acting = ca.vertcat(model.ode, model.laws, model.drive_expressions, model.output_expressions, ca.SX(0))
+    return [u.name for k, u in enumerate(model.inputs) if not ca.depends_on(acting, model.u[k])]
 
 
 def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.SX]]) -> set[str]:

@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadi_engine.deadline import TimeUp, lifted
+from casadi_engine.discrepancy.elsewhere_families import unused_inputs
 from casadi_engine.discrepancy.evidence import (
     Digest,
     Levels,
@@ -26,7 +27,7 @@ from casadi_engine.discrepancy.law_race import Begun, Followed, chance, followed
 from casadi_engine.discrepancy.law_rival import TAKEN
 from casadi_engine.discrepancy.law_setups import Setup
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.random_families import Course, Family, course_of
+from casadi_engine.discrepancy.random_families import TIME, Course, Family, course_of, smooth_family
 from casadi_engine.discrepancy.refits import Refits, Tried
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of, not_told_from
 
@@ -50,7 +51,7 @@ def refitted_law(
     further : what a further effect has to gain in log probability; others : functions of what the signals of a port do
     not say, or of a parameter, that come first along the simulation
     """
-    begun, count = raced(refits, [one for one in others if not one.order])
+    begun, count = raced(refits, _with_unused(refits, [one for one in others if not one.order]))
     if not begun:
         return None
     most = _NEAR * begun[0].found.cost
@@ -72,6 +73,15 @@ def refitted_law(
         return None
     price = (len(tried.effects) - 1) * max(further, 0.0)
     return replace(best, log=best.log - math.log(count) + price, price=price)
+
+
+def _with_unused(refits: Refits, others: Sequence[Family]) -> list[Family]:
+    """Functions, and beside one of time at some port those of the inputs that were recorded and act on nothing: one of
+    time does what any of these did in this record, and nothing that it does in another one."""
+    ports = [one.port for one in others if one.signal == TIME]
+    names = unused_inputs(refits.refitter.model)
+    blank = np.array([0.0, 1.0])
+    return [*others, *(smooth_family(port, name, blank) for port in ports for name in names)]
 
 
 def leading(refits: Refits) -> list[tuple[str, str]]:

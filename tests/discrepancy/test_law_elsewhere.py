@@ -1,10 +1,15 @@
 """Large laws of what a port does not know: between two bodies, in a parameter, by an input that nothing uses."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.discrepancy.elsewhere_families import unused_inputs
+from casadi_engine.discrepancy.law_refit import _with_unused
+from casadi_engine.discrepancy.random_families import smooth_family
 
 STEP, COUNT = 60.0, 600
 
@@ -69,6 +74,18 @@ def test_an_input_that_no_equation_uses_acts_where_it_does():
     assert (found.unknown.port, found.unknown.signal) == ("room", "sun")
     words = "no effect of the library names it: an unknown power at room that depends on sun"
     assert words in " ".join(str(found).split())
+
+
+def test_beside_a_function_of_time_stand_those_of_inputs_that_no_equation_uses():
+    """A drum that is cooled by a recorded flow of air: "the parameter G depends on time and looks cubic"."""
+    refits = SimpleNamespace(refitter=SimpleNamespace(model=rooms()))
+    blank = np.array([0.0, 1.0])
+    of_time, of_state = (smooth_family("parameter_G", signal, blank) for signal in ("time", "Th"))
+    found = _with_unused(refits, [of_time, of_state])
+    assert found[:2] == [of_time, of_state]
+    assert [(one.port, one.signal) for one in found[2:]] == [("parameter_G", "sun")]
+    assert _with_unused(refits, [of_state]) == [of_state]
+    assert unused_inputs(rooms()) == ["sun"]
 
 
 def test_nothing_is_found_where_there_is_nothing():
