@@ -36,7 +36,7 @@ from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
-from casadi_engine.discrepancy.unknown_law import depends_on
+from casadi_engine.discrepancy.unknown_law import depends_on, moving
 
 # Why a refit was not tried.
 TIME_UP = "the time was up"
@@ -192,13 +192,18 @@ class Additions:
         if linear:
             self.lead, self.start = step, start_without(best.arrived, best.newest(self.here))
         left = self._promising(best, step, rest, clearly=not linear)
-        # a delay and a lag of one channel are far from one another by a step, and not by their refits; and what is late
-        # behind an input is late in a sensor
+        # a delay and a lag of one channel are far from one another by a step, and not by their refits, and what is late
+        # behind an input is late in a sensor; so are two laws of one signal at one port
         effect, port = best.newest(self.here).candidate.key
-        alone = costs_of(self.screened, self.at_here, self.families) if effect in LATE else {}
+        alone = costs_of(self.screened, self.at_here, self.families)
         most = self.here.arrived.cost - PART * (self.here.arrived.cost - best.arrived.cost)
-        for key in [k for k in rest if k[0] in LATE and k in alone and (k[1] == port or alone[k] < most)]:
-            self.tell(f"refit of what is late as well: {key[0]} at {key[1]}")
+        late_too = [k for k in rest if effect in LATE and k[0] in LATE and k in alone]
+        late_too = [k for k in late_too if k[1] == port or alone[k] < most]
+        moved = moving(best.newest(self.here).candidate)
+        laws = [k for k in rest if moved and k[1] == port and k not in left and alone.get(k, math.inf) < most]
+        laws = [k for k in laws if moving(self.screened.candidates[self.families[k][0]]) == moved]
+        for key in dict.fromkeys([*late_too, *laws]):
+            self.tell(f"refit in its place: {key[0]} at {key[1]}")
             one = chosen_of(self.screened, step, self.families[key])
             self._try(one, start_without(best.arrived, best.newest(self.here)), near=True)
         cost = costs_of(self.screened, step, self.families)

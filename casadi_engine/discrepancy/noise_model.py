@@ -141,6 +141,8 @@ def fitted_colour(
     uncertain : (N, q) the square root of the covariance with which the noise is known, given the data; None for zero
     before : level and colour of the noise with which that was found
     """
+    # what is missing before the first sample and behind the last one tells nothing
+    index, length = index - index[0], int(index[-1] - index[0]) + 1
     valid = np.zeros(length, dtype=bool)
     valid[index] = True
     full = np.zeros((length, 1 if uncertain is None else 1 + uncertain.shape[1]))

@@ -329,16 +329,16 @@ class _Beside:
 
 def depends_on_more(one: Addition, signal: str) -> bool:
     """True for an effect that depends on more of the motion and inputs than what a signal of its port is made of."""
-    return bool(_moving(one.candidate) - _made_of(one.candidate, signal))
+    return bool(moving(one.candidate) - _made_of(one.candidate, signal))
 
 
 def depends_on(candidate: Candidate, signal: str) -> bool:
     """True for a candidate that depends on a signal of its port, and on nothing else that moves."""
-    moving = _moving(candidate)
-    return bool(moving) and moving <= _made_of(candidate, signal)
+    own = moving(candidate)
+    return bool(own) and own <= _made_of(candidate, signal)
 
 
-def _moving(candidate: Candidate) -> set[str]:
+def moving(candidate: Candidate) -> set[str]:
     """The names of the states and inputs on which a candidate depends."""
     own = candidate.source
     acts = ca.vertcat(own.slots, own.drives, own.outputs)

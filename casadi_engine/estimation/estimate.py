@@ -196,7 +196,12 @@ def _followed_up(
 
     how : starts, neighbours and when all began; alone : another verb asks for what else it needs
     """
-    again = lambda changed: run(arguments | changed, 1, 0, how[-1])  # noqa: E731
+
+    def again(changed: dict[str, Any]) -> Fit:
+        changed = dict(changed)
+        starts = changed.pop("starts", 1)
+        return run(arguments | changed, starts, 0, how[-1])
+
     fit = from_wide_corners(lambda changed: run(arguments | changed, *how), again, arguments)
     fit = in_time(lambda: follow_delays(fit, arguments["parameters"], again), lambda: fit)
     arguments["model"] = fit.model

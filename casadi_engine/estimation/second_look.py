@@ -9,24 +9,17 @@ from typing import Any
 
 from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.estimation.fit import Fit
-from casadi_engine.estimation.followed import not_followed
+from casadi_engine.estimation.followed import lost
 from casadi_engine.estimation.lower_optimum import merit
 
 # Half of twice the log likelihood by which the second has to be better; seconds for it, and times those of the first.
 _LOWER, _SECONDS, _TIMES = 0.1, 2.0, 3.0
+# Starts of a fit that is lost.
+_STARTS = 8
 # Logarithm of the factor by which a parameter has left its start where another search is worth its time.
 _WAY = 1.0
 # What the option says then.
 BOTH = "direct, then prediction"
-
-
-def is_lost(fit: Fit) -> bool:
-    """True for a fit that leaves a good part of an output's motion, and no white noise of it."""
-    return any(
-        words.startswith(f"the residual of {key} is not white")
-        for key in not_followed(fit)
-        for words in fit.messages
-    )
 
 
 def is_elsewhere(fit: Fit) -> bool:
@@ -40,16 +33,18 @@ def is_elsewhere(fit: Fit) -> bool:
 
 
 def looked_at_twice(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
-    """The fit, or a better one of another search: of a fit that is lost by predictions over short pieces first, of one
-    that is far from its start over whole records, whose states leave fewer ways to an optimum.
+    """The fit, or a better one of another search: of a fit that is lost by predictions over short pieces first and then
+    from other starts, of one that is far from its start over whole records, whose states leave fewer ways to an
+    optimum.
 
-    again(changes) : makes a fit with changed arguments
+    again(changes) : makes a fit with changed arguments, or from several starts
     """
     plain = fit.options.get("approach") == "direct" and fit.options.get("starts") == 1
     if not (plain and fit.converged and fit.innovations is None):
         return fit
-    if is_lost(fit):
-        return _another(fit, again, {"approach": "prediction"}, _TIMES, {"approach": BOTH})
+    if lost(fit):
+        found = _another(fit, again, {"approach": "prediction"}, _TIMES, {"approach": BOTH})
+        return _another(found, again, {"starts": _STARTS}, _TIMES, {}) if lost(found) else found
     several = fit.options.get("interval") == "auto" and fit.model.linear is None and fit.nodes > len(fit.data)
     if several and is_elsewhere(fit):
         return _another(fit, again, {"interval": "single", "warm": None}, 1.0, {})

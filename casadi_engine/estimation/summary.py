@@ -13,7 +13,7 @@ from casadi_engine.estimation.behind_a_bound import NOT_TOLD
 from casadi_engine.estimation.faulty_samples import IN_DOUBT, faults
 from casadi_engine.estimation.few_samples import UNKNOWN
 from casadi_engine.estimation.fit import Estimate, Fit
-from casadi_engine.estimation.followed import not_followed
+from casadi_engine.estimation.followed import lost
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
 from casadi_engine.experiment.units import unit_words
 
@@ -416,13 +416,13 @@ def next_steps(fit: Fit) -> list[str]:
             'try other starts: ce.estimate(model, data, approach="prediction"), starts=8, or bounds closer to what '
             "can be"
         )
-    for key, share in not_followed(fit).items() if fit.options.get("approach") == "direct" else ():
-        if any(words.startswith(f"the residual of {key} is not white") for words in fit.messages):
-            steps.append(
-                f"the simulation follows {max(share, 0.0):.0f} % of {key}: look for a better optimum, "
-                'ce.estimate(model, data, approach="prediction")'
-            )
-            break
+    for key, share in lost(fit).items():
+        how = 'approach="prediction"' if fit.options.get("approach") == "direct" else "starts=20"
+        steps.append(
+            f"the simulation follows {max(share, 0.0):.0f} % of {key}: look for a better optimum, "
+            f"ce.estimate(model, data, {how})"
+        )
+        break
     steps += list(dict.fromkeys(_cure(fit, direction.weights) for direction in fit.undetermined))
     for name, estimate in fit.estimates.items():
         told = any(words.startswith(f"{name} {NOT_TOLD}") for words in fit.messages)

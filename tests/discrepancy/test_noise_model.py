@@ -15,7 +15,7 @@ from casadi_engine.discrepancy.combustion_scatter import (
 )
 from casadi_engine.discrepancy.compression import candidate_columns, compress, scatter_columns
 from casadi_engine.discrepancy.library_candidates import direction_of
-from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
+from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, fitted_colour
 from casadi_engine.discrepancy.null_model import null_at
 from casadi_engine.discrepancy.score import score
 from casadi_engine.effects import candidate, library, port_view
@@ -160,3 +160,16 @@ def test_cycles_are_counted_by_the_crank_angle(engine):
     assert (np.diff(cycle) >= 0).all()
     assert np.bincount(cycle)[1] == pytest.approx(1440, abs=15)
     assert len(cycle) == len(data["omega"].time)
+
+
+def test_a_record_whose_end_is_missing_has_the_colour_of_what_there_is():
+    """A yacht that rolls over: its last 381 samples are none, and filling them ended in a LinAlgError."""
+    rng = np.random.default_rng(2)
+    noise = np.zeros(400)
+    for k in range(1, 400):
+        noise[k] = 0.8 * noise[k - 1] + rng.standard_normal()
+    whole = fitted_colour(noise, np.arange(400), 400)
+    cut = fitted_colour(noise, np.arange(400) + 7, 800)
+    assert [p.tolist() for p in cut.predictors] == [p.tolist() for p in whole.predictors]
+    grows = np.sin(0.3 * np.arange(419)) * np.exp(0.05 * np.arange(419))
+    assert np.isfinite(fitted_colour(grows, np.arange(419), 800).variances).all()

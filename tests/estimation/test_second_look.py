@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.estimation.second_look import BOTH, is_lost, looked_at_twice
+from casadi_engine.estimation.followed import lost
+from casadi_engine.estimation.second_look import BOTH, looked_at_twice
 
 NOT_WHITE = ("the residual of r/y is not white (neighbours correlate by 0.9): the model lacks something",)
 
@@ -22,7 +23,7 @@ class Found:
     converged: bool = True
     innovations: object = None
     noise: dict = field(default_factory=dict)
-    traces: dict = field(default_factory=dict)
+    traces: dict = field(default_factory=lambda: seen(200))
     timing: dict = field(default_factory=lambda: {"total": 0.1})
     model: object = field(default_factory=lambda: SimpleNamespace(linear=None))
     nodes: int = 5
@@ -44,14 +45,40 @@ class Found:
         return {"r": {"y": {"simulation": self.percent, "prediction": None}}}
 
 
+def seen(samples):
+    return {"r": {"y": SimpleNamespace(mask=np.ones(samples, dtype=bool))}}
+
+
 @pytest.mark.parametrize(
-    ("fit", "lost"),
-    [(Found(50.0), True), (Found(50.0, percent=90.0), False), (Found(50.0, messages=()), False)],
+    ("fit", "gone"),
+    [
+        (Found(50.0), True),
+        (Found(50.0, percent=90.0), False),
+        (Found(50.0, messages=()), False),  # noise, as 200 samples tell
+        (
+            Found(50.0, messages=(), traces=seen(30)),
+            True,
+        ),  # an oscillation that is missed passes for white too
+        (Found(50.0, percent=90.0, messages=(), traces=seen(30)), False),
+    ],
 )
-def test_which_fits_are_lost(fit, lost):
-    assert is_lost(fit) == lost
-    if not lost:
+def test_which_fits_are_lost(fit, gone):
+    """Goodwin's oscillator from the true parameters: 22 % of 30 samples followed, "converged", and not a word."""
+    assert set(lost(fit)) == ({"r/y"} if gone else set())
+    if not gone:
         assert looked_at_twice(fit, None) is fit
+
+
+def test_where_both_searches_are_lost_other_starts_are_looked_from():
+    asked = []
+
+    def again(changed):
+        asked.append(changed)
+        return Found(50.0 if "approach" in changed else 1.0, percent=95.0)
+
+    found = looked_at_twice(Found(50.0), again)
+    assert asked == [{"approach": "prediction"}, {"starts": 8}]
+    assert found.cost == 1.0
 
 
 @pytest.mark.parametrize(("cost", "taken"), [(40.0, True), (50.0, False)])
@@ -63,7 +90,7 @@ def test_the_better_one_is_the_answer_and_says_how_it_was_searched(cost, taken):
         return Found(cost)
 
     found = looked_at_twice(Found(50.0), again)
-    assert asked == [{"approach": "prediction"}]
+    assert asked[0] == {"approach": "prediction"}
     assert found.cost == (40.0 if taken else 50.0)
     assert found.options["approach"] == BOTH
 
