@@ -2,14 +2,14 @@
 leads, and the best of them over windows that grow to the whole record.
 
 Some need a hundred times the work of others, as what they stand for moves nothing over short windows, or makes the
-equations stiff: they get all of the work that a refit may cost only where no other explains more than chance.
+equations stiff: where one explains more than chance, that is enough to show the way, and the rest waits for the answer.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -41,7 +41,8 @@ from casadi_engine.parameters import Parameters
 _STEPS, _FEW = 30, 12
 # Horizons over which every function is refitted.
 _SHORT = 3
-# Shares of the work that a refit may cost, the second where with the first no function is better than chance.
+# Shares of the work that a refit may cost, the second where with the first no function is better than chance, or all
+# are to have it.
 _SHARES = 1 / 8, 1.0
 # Costs that are one but for rounding: of the same function at a port that knows its signal by another name.
 _SAME = 1e-6
@@ -114,10 +115,13 @@ class Race:
         return race
 
 
-def raced(refits: Refits, others: Sequence[Family] = ()) -> tuple[list[Begun], int]:
+def raced(
+    refits: Refits, others: Sequence[Family] = (), *, thorough: bool = False
+) -> tuple[list[Begun], int]:
     """The functions over short windows, the one that leaves least first, and among how many they are.
 
-    others : of what the signals of their port do not say, as far as the time allows
+    others : of what the signals of their port do not say, as far as the time allows; thorough : give each all of its
+    work, as far as the time allows, where one is better than chance too
     """
     race, none = Race.of(refits), refits.pool[frozenset()]
     if race.setups is None:
@@ -127,11 +131,15 @@ def raced(refits: Refits, others: Sequence[Family] = ()) -> tuple[list[Begun], i
     own = {one.at: one for one in race.setups}
     every = dict(own)
     good = chance(refits, none, len(own)) if own else 0.0
-    for share in _SHARES:
-        least = min((race.begun[at].found.cost for at in own if at in race.begun), default=math.inf)
-        if race.share < share and least > good:
-            race.share = share
-            _through(refits, none, own, share)
+    first, whole = _SHARES
+    if race.share < first:
+        race.share = first
+        _through(refits, none, own, first)
+    lost = min((race.begun[at].found.cost for at in own if at in race.begun), default=math.inf) > good
+    if race.share < whole and (lost or thorough):
+        race.share = whole
+        with nullcontext() if lost else suppress(TimeUp):
+            _through(refits, none, own, whole)
     with suppress(TimeUp):
         far = [one for one in others if (one.port, one.signal) not in own]
         further = {made.at: made for one in far for made in setups_elsewhere(refits, none, one)}

@@ -51,7 +51,9 @@ def refitted_law(
     further : what a further effect has to gain in log probability; others : functions of what the signals of a port do
     not say, or of a parameter, that come first along the simulation
     """
-    begun, count = raced(refits, _with_unused(refits, [one for one in others if not one.order]))
+    begun, count = raced(
+        refits, _with_unused(refits, [one for one in others if not one.order]), thorough=True
+    )
     if not begun:
         return None
     most = _NEAR * begun[0].found.cost

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from casadi_engine.estimation.fit import Fit
 
 # Share of an output's motion, in per cent, below which a fit may well be lost: at a wrong resonance it is.
@@ -9,6 +11,8 @@ FOLLOWED = 70.0
 # Samples from which on what passes for white is noise, however large it is; an oscillation that is missed altogether
 # passes too, where there are fewer.
 _TELLS = 100
+# Mean square of a residual, in that of the noise that was stated, up to which it is that noise.
+_AS_STATED = 1.5
 
 
 def not_followed(fit: Fit) -> dict[str, float]:
@@ -22,12 +26,21 @@ def not_followed(fit: Fit) -> dict[str, float]:
 
 
 def lost(fit: Fit) -> dict[str, float]:
-    """The same, where what is left is not white, or too few samples tell whether it is."""
+    """The same, where what is left is not white, or is of so few samples that none tells, and of no stated level."""
     return {key: share for key, share in not_followed(fit).items() if not _is_noise(fit, key)}
 
 
 def _is_noise(fit: Fit, key: str) -> bool:
-    """True for a residual that is white as far as many samples tell."""
-    masks = {f"{record}/{name}": one.mask for record, own in fit.traces.items() for name, one in own.items()}
-    coloured = any(words.startswith(f"the residual of {key} is not white") for words in fit.messages)
-    return not coloured and int(masks[key].sum()) >= _TELLS
+    """True for a residual that is white as far as many samples tell, or as small as the noise that was stated."""
+    traces = {
+        f"{record}/{name}": (name, one) for record, own in fit.traces.items() for name, one in own.items()
+    }
+    if any(words.startswith(f"the residual of {key} is not white") for words in fit.messages):
+        return False
+    if key not in traces:
+        return True
+    output, trace = traces[key]
+    sigma, estimated = fit.noise[output]
+    e = trace.residual[trace.mask]
+    stated = not estimated and float(np.mean(e**2)) <= _AS_STATED * sigma**2
+    return stated or len(e) >= _TELLS

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0, np.inf)
 # Other optima from which searches start again, and how far below the best they may be for that.
 _AGAIN, _NEAR = 3, 10.0
+# Information of which less is none: numbers below underflow.
+_NONE = 1e-200
 # Searches one after another that meet no new optimum so near the best: those from around, and those from rivals, end.
 IDLE = 12
 # Exchanges of parameters that are starts.
@@ -184,9 +186,10 @@ def _dense(target: Target, points: list[tuple[Array, Array]]) -> tuple[Array, Ar
 
 def inverse(matrix: Array) -> Array:
     """Of a symmetric matrix, by its scaled entries; directions without any information stay out of it."""
-    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = np.linalg.pinv(matrix / np.outer(size, size), hermitian=True)
-    return np.asarray(scaled / np.outer(size, size), dtype=np.float64)
+    told = np.diag(matrix) > _NONE
+    size = np.sqrt(np.where(told, np.diag(matrix), 1.0))
+    scaled = np.where(np.outer(told, told), matrix, 0.0) / np.outer(size, size)
+    return np.asarray(np.linalg.pinv(scaled, hermitian=True) / np.outer(size, size), dtype=np.float64)
 
 
 def _definite(matrix: Array) -> bool:

@@ -22,7 +22,7 @@ class Found:
     options: dict = field(default_factory=lambda: {"approach": "direct", "starts": 1})
     converged: bool = True
     innovations: object = None
-    noise: dict = field(default_factory=dict)
+    noise: dict = field(default_factory=lambda: {"y": (1.0, True)})
     traces: dict = field(default_factory=lambda: seen(200))
     timing: dict = field(default_factory=lambda: {"total": 0.1})
     model: object = field(default_factory=lambda: SimpleNamespace(linear=None))
@@ -45,8 +45,8 @@ class Found:
         return {"r": {"y": {"simulation": self.percent, "prediction": None}}}
 
 
-def seen(samples):
-    return {"r": {"y": SimpleNamespace(mask=np.ones(samples, dtype=bool))}}
+def seen(samples, size=1.0):
+    return {"r": {"y": SimpleNamespace(mask=np.ones(samples, dtype=bool), residual=np.full(samples, size))}}
 
 
 @pytest.mark.parametrize(
@@ -60,6 +60,10 @@ def seen(samples):
             True,
         ),  # an oscillation that is missed passes for white too
         (Found(50.0, percent=90.0, messages=(), traces=seen(30)), False),
+        # of a level that was stated
+        (Found(50.0, messages=(), traces=seen(30), noise={"y": (1.0, False)}), False),
+        (Found(50.0, messages=(), traces=seen(30, 1.3), noise={"y": (1.0, False)}), True),
+        (Found(50.0, traces=seen(30), noise={"y": (1.0, False)}), True),  # as large, and not white
     ],
 )
 def test_which_fits_are_lost(fit, gone):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from casadi_engine.estimation.levenberg_marquardt import Squares
-from casadi_engine.posterior.modes import IDLE, _Searches
+from casadi_engine.posterior.modes import IDLE, _Searches, inverse
 
 
 class Wells:
@@ -46,3 +46,11 @@ def test_the_best_may_come_last():
     searches = _Searches(Wells(1.0))
     searches.until_idle([np.array([place + 0.1]) for place in (5.0, 3.0, 0.0)])
     assert sorted(cost for _, _, cost in searches.found) == pytest.approx([0, 3, 5], abs=1e-3)
+
+
+def test_a_direction_without_information_stays_out_of_the_inverse():
+    """Curvature that underflows beside a slope that does not: an overflow was warned of."""
+    matrix = np.array([[4.0, 0.0, 1e-5], [0.0, 0.0, 1e-5], [1e-5, 1e-5, -1e-9]])
+    assert inverse(matrix) == pytest.approx(np.diag([0.25, 0.0, 0.0]))
+    full = np.array([[4.0, 1.0], [1.0, 1e8]])
+    assert inverse(full) == pytest.approx(np.linalg.inv(full))

@@ -120,7 +120,7 @@ def test_next_steps(factory, changes, step):
 
 @pytest.mark.parametrize(
     ("share", "approach", "white", "said"),
-    [(51.0, "direct", False, True), (51.0, "prediction", False, False), (51.0, "direct", True, False),
+    [(51.0, "direct", False, True), (51.0, "prediction", False, True), (51.0, "direct", True, False),
      (80.0, "direct", False, False), (-3.0, "direct", False, True)],
 )  # fmt: skip
 def test_a_simulation_that_does_not_follow_the_data_asks_for_another_optimum(
@@ -134,7 +134,8 @@ def test_a_simulation_that_does_not_follow_the_data_asks_for_another_optimum(
     first = next_steps(fit)[0]
     assert first.startswith("the simulation follows") == said
     assert not said or f"follows {max(share, 0):.0f} % of run/omega" in first
-    assert not said or first.endswith('ce.estimate(model, data, approach="prediction")')
+    how = 'approach="prediction"' if approach == "direct" else "starts=20"
+    assert not said or first.endswith(f"ce.estimate(model, data, {how})")
 
 
 def test_next_step_of_a_sound_fit(factory):
