@@ -237,7 +237,7 @@ def _answers(name: str, inputs: Sequence[str], clock: Clock) -> str:
     often = clock.period(hertz) if hertz else ""
     return (
         f"the residual of {output} in {record} repeats what the {noun} {' and '.join(inputs)} {verb} {at}{often}: "
-        "what is missing answers to it, or comes back as often by itself"
+        "what is missing responds to it, or has that period by itself"
     )
 
 

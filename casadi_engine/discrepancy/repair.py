@@ -49,6 +49,7 @@ from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.corner_widths import ROUNDED, felt_by, widths_of, with_widths
 from casadi_engine.estimation.estimate import _own, _records
 from casadi_engine.estimation.faulty_samples import at_its_limit, stands_still, wild_samples
+from casadi_engine.estimation.few_samples import UNKNOWN
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import ONE_STEP, OUT_OF_ITERATIONS
@@ -520,7 +521,10 @@ class _Job:
 
 def _fault_of(fit: Fit) -> str | None:
     """What to say of outputs that a search has no use for; None where there are none."""
-    return noise_alone(fit) or at_its_limit(fit) or stands_still(fit) or wild_samples(fit)
+    unknown = next(
+        (words for words in fit.messages if UNKNOWN in words), None
+    )  # nothing is beyond such a noise
+    return noise_alone(fit) or at_its_limit(fit) or stands_still(fit) or wild_samples(fit) or unknown
 
 
 def _not_searched(search: Choice, made: Repair) -> tuple[str, ...]:

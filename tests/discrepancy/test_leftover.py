@@ -78,8 +78,8 @@ def test_where_nothing_explains_more_than_such_a_line_it_is_said_what_it_repeats
     found = Leftover({LINE: 1e-9}, 1e-3, lines={LINE: 900.0}, driven={LINE: ("T", "p")})
     null = SimpleNamespace(model=ce.one_inertia())
     assert unknown_of(SimpleNamespace(leftover=found, null=null)).sentence == (
-        "the residual of omega in run repeats what the inputs T and p do at 1.7 Hz: what is missing answers to it, or "
-        "comes back as often by itself"
+        "the residual of omega in run repeats what the inputs T and p do at 1.7 Hz: what is missing responds to it, or "
+        "has that period by itself"
     )
     day = LINE.replace("1.7", "0.0000116")
     found = Leftover({day: 1e-9}, 1e-3, lines={day: 900.0}, driven={day: ("T",)})

@@ -28,9 +28,9 @@ def vessels():
     return b.model()
 
 
-def measured(name, throttle, seed):
+def measured(name, throttle, seed, samples=600):
     """A record of SciPy; throttle : difference of pressures -> flow."""
-    time, turn = np.arange(600) * 0.2, 1.3 * seed
+    time, turn = np.arange(samples) * 0.2, 1.3 * seed
 
     def drive(t):
         feed = 1.2 + 0.8 * np.sign(np.sin(2 * np.pi * t / 37 + turn))
@@ -80,3 +80,13 @@ def test_a_function_of_the_difference_leaves_one_vessel_and_enters_the_other():
         second, first = (columns[output][:, k] for k in ends)
         assert columns[output][:, pipe.members[0]] == pytest.approx(second - first)
         assert np.ptp(first) > 0
+
+
+def test_four_samples_that_a_fit_goes_through_are_no_missing_effect():
+    """The noise of one output came out at 1e-15 bar, and "something is missing"."""
+    found = ce.repair(vessels(), measured("found", late, 1, samples=4), progress=False)
+    assert found.verdict is None
+    told = " ".join(str(found).split())
+    assert "no answer: the data are at fault" in told
+    assert "the noise level of y_1 is not known, and so no error: of its 4 samples" in told
+    assert "state it, noise=ce.Noise(y_1=...)" in told
