@@ -28,6 +28,7 @@ from casadi_engine.discrepancy.in_place import (
     step_in_place,
 )
 from casadi_engine.discrepancy.law_refit import is_far, leading
+from casadi_engine.discrepancy.law_step import in_place_of_function
 from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.null_model import null_at
 from casadi_engine.discrepancy.path import FAILURES, form_of
@@ -37,6 +38,7 @@ from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.unknown_law import depends_on, moving
+from casadi_engine.estimation.followed import lost
 
 # Why a refit was not tried.
 TIME_UP = "the time was up"
@@ -49,8 +51,9 @@ AGAIN = 3
 _NESTED, _SMALL = 1.0, 0.02
 # Log likelihood that a further effect has to promise to be refitted.
 _NOTHING = 1.0
-# Share of the time after which functions of no name show the way, where nothing has come near the motion until then.
-_LOST = 1 / 3
+# Refits, and share of the time, after which functions of no name show the way, where nothing has come near the motion
+# until then: one step foretold these to come nearest. It foretells nothing where the fit follows next to nothing.
+_FIRST, _LOST = 3, 1 / 3
 
 Family = tuple[str, str]
 
@@ -86,12 +89,13 @@ class Additions:
         self.start: Start | None = Start(here.arrived.values, here.arrived.initial)
         order = left = self._ordered()
         best: Tried | None = None
-        begun, asked = time.perf_counter(), (1 - _LOST) * seconds_left()
+        begun, asked, led = time.perf_counter(), (1 - _LOST) * seconds_left(), False
+        first = 0 if lost(self.refits.null_fit) else _FIRST
         try:
             while left:
                 ask()
-                if seconds_left() < asked < math.inf:
-                    left, asked = self._led(left, best), 0.0
+                if not led and (len(self.done) >= first or seconds_left() < asked):
+                    left, led = self._led(left, best), True
                 key = left[0]
                 self.tell(f"refit {len(self.done) + 1} of {len(self.done) + len(left)}: {key[0]} at {key[1]}")
                 self.done.append(key)
@@ -171,11 +175,23 @@ class Additions:
             return rest
         self.tell("which functions at which ports follow the motion")
         candidates, first = self.screened.candidates, list[Family]()
-        for port, signal in leading(self.refits):
+        functions = leading(self.refits)
+        for port, signal in functions:
             for key, members in self.families.items():
                 if key[1] == port and key not in self.done and depends_on(candidates[members[0]], signal):
                     first.append(key)
-        return [*dict.fromkeys(first), *(key for key in rest if key not in first)]
+        found = in_place_of_function(self.refits, functions, self.screened, self.families)
+        if found is None:
+            return [*dict.fromkeys(first), *(key for key in rest if key not in first)]
+        # along the motion that is measured one step tells what the function stands for
+        self.lead, self.start, least = found
+        cost = costs_of(self.screened, self.lead, self.families)
+        most = rival(self.refits, least, self.lead.none, self.screened)
+        every = [*rest, *(key for key in dict.fromkeys(first) if key not in rest)]
+        nearest = min(every, key=cost.__getitem__)
+        kept = [key for key in every if key in first or key == nearest or cost[key] < most]
+        self.left_out |= {key: cost[key] for key in every if key not in kept}
+        return sorted(kept, key=cost.__getitem__)
 
     def _in_time(self, one: Addition) -> Addition:
         """An event at its best time, which a swing of what it excites tells better than the grid of times."""
@@ -201,14 +217,19 @@ class Additions:
         late_too = [k for k in late_too if k[1] == port or alone[k] < most]
         moved = moving(best.newest(self.here).candidate)
         laws = [k for k in rest if moved and k[1] == port and k not in left and alone.get(k, math.inf) < most]
-        laws = [k for k in laws if moving(self.screened.candidates[self.families[k][0]]) == moved]
+        laws = [k for k in laws if self._moving(k) == moved]
         for key in dict.fromkeys([*late_too, *laws]):
             self.tell(f"refit in its place: {key[0]} at {key[1]}")
             one = chosen_of(self.screened, step, self.families[key])
             self._try(one, start_without(best.arrived, best.newest(self.here)), near=True)
         cost = costs_of(self.screened, step, self.families)
         self.left_out |= {key: cost[key] for key in rest if key not in left}
-        return left
+        # which of the laws of that signal there it is makes the name: these come next
+        return sorted(left, key=lambda k: k[1] != port or not moved or self._moving(k) != moved)
+
+    def _moving(self, key: Family) -> set[str]:
+        """See ``unknown_law.moving``."""
+        return moving(self.screened.candidates[self.families[key][0]])
 
     def _promising(
         self, best: Tried, step: OneStep, keys: Sequence[Family], *, clearly: bool = False
@@ -272,17 +293,18 @@ class Additions:
         grids = {one.key: bool(one.source.effect.nuisance) for one in candidates}
         left = sorted(self.families, key=lambda key: (grids[key], cost[key]))
         spent, best = time.perf_counter() - begun, self._best()
+        self.lead, self.start = step, None
         left = self._led(left, best)
         last = time.perf_counter() + spent
         while left and time.perf_counter() < last:
             ask()
             key = left.pop(0)
             self.tell(f"refit from other values: {key[0]} at {key[1]}")
-            one = chosen_of(self.screened, step, self.families[key])
-            self._try(one, None, near=True)
+            one = chosen_of(self.screened, self.lead, self.families[key])
+            self._try(one, self.start, near=True)
             if key not in self.done:
                 self.done.append(key)
-                self._try(one, None)
+                self._try(one, self.start)
             found = self._best()
             if found is not None and (best is None or found.arrived.cost < best.arrived.cost - _NESTED):
                 best, left = found, self._left(found, left)

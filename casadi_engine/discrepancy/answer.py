@@ -251,7 +251,8 @@ class Answer:
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             first = law if looked else self._law(held, near)
             others = () if first is None else first.others
-            again = self._law(held, partial(refitted_law, others=others), "refitted law")
+            told_by = partial(refitted_law, others=others, fresh=self.portion.fresh)
+            again = self._law(held, told_by, "refitted law")
             said = _said(claim, held, again, refitted=True)
             beside = law is not None and law.is_beside and rival is not None  # it is not in their place
             if (

@@ -24,6 +24,7 @@ from casadi_engine.discrepancy.exchange import (
     exchanged,
     in_its_parts,
     is_far,
+    is_rounding,
     known_twins,
     late_otherwise,
     leaves_more,
@@ -391,6 +392,9 @@ class Choice:
             if best is None or not (sure or (in_colour and self._scores_in_colour(here, best, tried))):
                 self._told(here, tried, None)
                 return None
+            if is_rounding(self.refits, here, best):
+                best.failed = True
+                continue
             if weak_beside_colour(self.refits, best):
                 more = self._timed("refit", lambda: self._with_one_more(best))  # noqa: B023
                 best.failed = True

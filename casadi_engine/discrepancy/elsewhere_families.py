@@ -7,7 +7,7 @@ half of the prior, and are looked at by two terms first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -25,6 +25,7 @@ from casadi_engine.discrepancy.random_families import (
     families_of,
     family_candidates,
     family_columns,
+    smooth_family,
     term_candidate,
 )
 from casadi_engine.effects.candidate import responses
@@ -92,6 +93,15 @@ def unused_inputs(model: Model) -> list[str]:
     """The inputs that were recorded and act on nothing: something may act by them, and a sensor may feel them."""
     acting = ca.vertcat(model.ode, model.laws, model.drive_expressions, model.output_expressions, ca.SX(0))
     return [u.name for k, u in enumerate(model.inputs) if not ca.depends_on(acting, model.u[k])]
+
+
+def unused_everywhere(model: Model, free: Collection[str]) -> list[Family]:
+    """Functions of the inputs that act on nothing, at every port at which something may act and in the place of every
+    free parameter that the equations have: who records an input expects that it matters."""
+    blank = np.array([0.0, 1.0])
+    may = [one.name for one in model.ports if one.slot is not None]
+    may += [p.name for p in model.ports if p.kind == "parameter" and p.parameter in free and _acts(model, p)]
+    return [smooth_family(port, name, blank) for name in unused_inputs(model) for port in may]
 
 
 def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.SX]]) -> set[str]:

@@ -23,6 +23,7 @@ from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition, addition, parts_of
 from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
 from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.discrepancy.unknown_law import moving
 
 Tell = Callable[[str], None]
 # Log evidence by which a law's special case may be less probable than its chi-squared beside the law's makes it.
@@ -224,6 +225,21 @@ def _told_by_innovations(refits: Refits, best: Tried, one: Addition) -> bool:
     if without is None or best.own is None or without.own is None or best.arrived.cost > without.arrived.cost:
         return False
     return best.own - without.own > 0.5 * BEYOND**2
+
+
+def is_rounding(refits: Refits, here: Tried, one: Tried) -> bool:
+    """True if what a structure has more only sharpens a corner: a law of the same signal at the port of one whose
+    corners are still rounded, that gains no more than sharper ones may, or whose shape is at its bound."""
+    felt = refits.rounding_felt(here.effects)
+    if felt == 0 or not here.key < one.key:
+        return False
+    last = one.newest(here)
+    corner = [own for own in here.effects if refits.path.cornered([own])]
+    same = [own for own in corner if own.candidate.port == last.candidate.port]
+    if not any(moving(own.candidate) == moving(last.candidate) for own in same):
+        return False
+    shapes = {f"{last.key}.{name}" for name in last.candidate.source.effect.nuisance}
+    return here.arrived.cost - one.arrived.cost <= felt or not shapes.isdisjoint(one.arrived.held)
 
 
 def weak_beside_colour(refits: Refits, best: Tried) -> bool:

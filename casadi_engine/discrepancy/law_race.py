@@ -8,7 +8,7 @@ equations stiff: where one explains more than chance, that is enough to show the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 
@@ -44,6 +44,8 @@ _SHORT = 3
 # Shares of the work that a refit may cost, the second where with the first no function is better than chance, or all
 # are to have it.
 _SHARES = 1 / 8, 1.0
+# A function follows the motion whose residual over short windows is no larger than so many times the noise.
+_FOLLOWS = 2.0
 # Costs that are one but for rounding: of the same function at a port that knows its signal by another name.
 _SAME = 1e-6
 
@@ -62,10 +64,25 @@ class Begun:
         """Its port and its signal."""
         return self.setup.at
 
+    @property
+    def follows(self) -> bool:
+        """True where it leaves little more than the noise over short windows."""
+        return self.found.cost <= _FOLLOWS**2 * self.problem.count
+
     def is_again(self, others: Sequence[Begun]) -> bool:
         """True if one of the others is the same function."""
         own = self.found.cost
         return any(abs(own - one.found.cost) <= _SAME * own for one in others)
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """A function whose refit arrived on the whole record, and what its evidence is counted from."""
+
+    setup: Setup
+    found: Refit
+    null: NullModel
+    made: Digest
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +119,12 @@ class Race:
 
     setups: list[Setup] | None = None
     begun: dict[tuple[str, str], Begun] = field(default_factory=dict)
-    whole: dict[tuple[str, str], tuple[NullModel, Digest] | None] = field(default_factory=dict)
+    elsewhere: dict[tuple[str, str], list[Setup]] = field(default_factory=dict)
+    whole: dict[tuple[str, str], Whole | None] = field(default_factory=dict)
     failed: set[tuple[str, str]] = field(default_factory=set)
     share: float = 0.0  # of the work that each may cost, so far
     plain: dict[Key, tuple[float, int]] = field(default_factory=dict)
+    wide: Refits | None = None  # with fresh data too, see ``law_on_fresh``
 
     @classmethod
     def of(cls, refits: Refits) -> Race:
@@ -120,8 +139,8 @@ def raced(
 ) -> tuple[list[Begun], int]:
     """The functions over short windows, the one that leaves least first, and among how many they are.
 
-    others : of what the signals of their port do not say, as far as the time allows; thorough : give each all of its
-    work, as far as the time allows, where one is better than chance too
+    others : of what the signals of their port do not say; thorough : give each all of its work, as far as the time
+    allows, where one is better than chance too
     """
     race, none = Race.of(refits), refits.pool[frozenset()]
     if race.setups is None:
@@ -129,33 +148,37 @@ def raced(
         between = ports.links if len(ports.links) <= LINKS else ()
         race.setups = [one for port in (*ports, *between) for one in setups_at(refits, none, port)]
     own = {one.at: one for one in race.setups}
-    every = dict(own)
-    good = chance(refits, none, len(own)) if own else 0.0
+    far = [one for one in others if (one.port, one.signal) not in own]
+    further = {made.at: made for one in far for made in _elsewhere(refits, none, one)}
+    every = further | own
+    good = chance(refits, none, len(every)) if every else 0.0
     first, whole = _SHARES
-    if race.share < first:
-        race.share = first
-        _through(refits, none, own, first)
-    lost = min((race.begun[at].found.cost for at in own if at in race.begun), default=math.inf) > good
-    if race.share < whole and (lost or thorough):
+    if race.share < whole:
+        race.share = max(race.share, first)
+        _through(refits, none, every, further, first)
+    lost = min((race.begun[at].found.cost for at in every if at in race.begun), default=math.inf) > good
+    if lost or thorough:
         race.share = whole
         with nullcontext() if lost else suppress(TimeUp):
-            _through(refits, none, own, whole)
-    with suppress(TimeUp):
-        far = [one for one in others if (one.port, one.signal) not in own]
-        further = {made.at: made for one in far for made in setups_elsewhere(refits, none, one)}
-        every |= further
-        _through(refits, none, further, 1.0, elsewhere=True)
+            _through(refits, none, every, further, whole)
     found = [race.begun[at] for at in every if at in race.begun]
     return sorted(found, key=lambda one: one.found.cost), len(every)
+
+
+def _elsewhere(refits: Refits, none: Tried, family: Family) -> list[Setup]:
+    """See ``setups_elsewhere``; each is made once."""
+    race, at = Race.of(refits), (family.port, family.signal)
+    if at not in race.elsewhere:
+        race.elsewhere[at] = setups_elsewhere(refits, none, family)
+    return race.elsewhere[at]
 
 
 def _through(
     refits: Refits,
     none: Tried,
     setups: Mapping[tuple[str, str], Setup],
+    further: Container[tuple[str, str]],
     share: float,
-    *,
-    elsewhere: bool = False,
 ) -> None:
     """Refit functions over short windows that were not yet, with a share of the work that each may cost."""
     race = Race.of(refits)
@@ -172,7 +195,7 @@ def _through(
         if found is None:
             race.failed.add(at)
         else:
-            race.begun[at] = Begun(setup, *found, elsewhere=elsewhere)
+            race.begun[at] = Begun(setup, *found, elsewhere=at in further)
 
 
 def chance(refits: Refits, tried: Tried, many: int) -> float:
@@ -181,8 +204,20 @@ def chance(refits: Refits, tried: Tried, many: int) -> float:
 
     many : functions that are looked at
     """
-    plain = Race.of(refits).plain
-    if tried.key not in plain:
+    cost, count = plain(refits, tried)
+    return cost * math.exp(-(TERMS + 2 * math.log(FACTOR * many)) / count)
+
+
+def tells(refits: Refits, tried: Tried) -> bool:
+    """True if a structure itself leaves more than noise over the short windows, so that they tell functions apart."""
+    cost, count = plain(refits, tried)
+    return cost > _FOLLOWS**2 * count
+
+
+def plain(refits: Refits, tried: Tried) -> tuple[float, int]:
+    """Chi-squared that a structure leaves over the short windows, inf where it has no refit there, and its samples."""
+    known = Race.of(refits).plain
+    if tried.key not in known:
         model = refits.refitter.extended(tried.effects)
         parameters = refits.refitter.parameters_of(model, tried.effects).unconstrained()
         try:
@@ -190,9 +225,8 @@ def chance(refits: Refits, tried: Tried, many: int) -> float:
         except TimeUp:
             ask()
             found = None
-        plain[tried.key] = (math.inf, 1) if found is None else (found[1].cost, max(found[0].count, 1))
-    cost, count = plain[tried.key]
-    return cost * math.exp(-(TERMS + 2 * math.log(FACTOR * many)) / count)
+        known[tried.key] = (math.inf, 1) if found is None else (found[1].cost, max(found[0].count, 1))
+    return known[tried.key]
 
 
 def short(
@@ -231,11 +265,11 @@ def followed(refits: Refits, one: Begun) -> Followed | None:
     found = whole[one.at]
     if found is None:
         return None
-    null, made = found
-    return Followed(one.setup, null, made, levels_left(null, refits.known, refits.levels.scatter, None))
+    levels = levels_left(found.null, refits.known, refits.levels.scatter, None)
+    return Followed(found.setup, found.null, found.made, levels)
 
 
-def _followed(refits: Refits, one: Begun) -> tuple[NullModel, Digest] | None:
+def _followed(refits: Refits, one: Begun) -> Whole | None:
     ask()
     try:
         with np.errstate(all="ignore"):
@@ -247,7 +281,7 @@ def _followed(refits: Refits, one: Begun) -> tuple[NullModel, Digest] | None:
             null = null_of_refit(
                 one.setup.model, one.setup.parameters, one.problem, found, refits.path.levels
             )
-            return null, _counted(null, one.setup)
+            return Whole(one.setup, found, null, _counted(null, one.setup))
     except FAILURES:
         return None
     except TimeUp:

@@ -16,25 +16,25 @@ from dataclasses import replace
 import numpy as np
 
 from casadi_engine.deadline import TimeUp, lifted
-from casadi_engine.discrepancy.elsewhere_families import unused_inputs
+from casadi_engine.discrepancy.elsewhere_families import unused_everywhere, unused_inputs
 from casadi_engine.discrepancy.evidence import (
     Digest,
     Levels,
     evidence,
     foretold,
 )
-from casadi_engine.discrepancy.law_race import Begun, Followed, chance, followed, raced
+from casadi_engine.discrepancy.law_on_fresh import by_all_data
+from casadi_engine.discrepancy.law_race import Begun, Followed, Race, chance, followed, raced, tells
 from casadi_engine.discrepancy.law_rival import TAKEN
 from casadi_engine.discrepancy.law_setups import Setup
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.random_families import TIME, Course, Family, course_of, smooth_family
 from casadi_engine.discrepancy.refits import Refits, Tried
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of, not_told_from
+from casadi_engine.experiment import Experiment
 
 # Those go on to the whole record whose chi-squared over short windows is within such a factor of the least.
 _NEAR = 2.0
-# Functions show the way whose residual over short windows is no larger than so many times the noise.
-_LEADS = 2.0
 # So many of these at most, the best over short windows.
 _FOLLOWED = 4
 # A simulation that is off by this share of what an output varies by has slopes that are off as much: a law that is
@@ -43,23 +43,30 @@ _FAR = 0.1
 
 
 def refitted_law(
-    refits: Refits, tried: Tried, further: float, *, others: Sequence[Family] = ()
+    refits: Refits,
+    tried: Tried,
+    further: float,
+    *,
+    others: Sequence[Family] = (),
+    fresh: Sequence[Experiment] = (),
 ) -> UnknownLaw | None:
     """The most probable function in the place of a structure's effects, or of none, each refitted; None where none
     arrives.
 
     further : what a further effect has to gain in log probability; others : functions of what the signals of a port do
-    not say, or of a parameter, that come first along the simulation
+    not say, or of a parameter, that come first along the simulation; fresh : records that the search did not see, by
+    which functions are told from each other
     """
-    begun, count = raced(
-        refits, _with_unused(refits, [one for one in others if not one.order]), thorough=True
-    )
+    asked = _with_unused(refits, [one for one in others if not one.order])
+    begun, count = raced(refits, asked, thorough=True)
     if not begun:
         return None
     most = _NEAR * begun[0].found.cost
     with suppress(TimeUp):
         most = min(most, chance(refits, tried, count))
-    wanted = [*_distinct(begun, most), *(one for one in begun if one.elsewhere)]
+    first = {(one.port, one.signal) for one in asked}
+    wanted = [*_distinct(begun, most), *_distinct(begun, most, elsewhere=True)]
+    wanted += [one for one in begun if one.at in first and one not in wanted]
     each: list[Followed | None] = []
     try:
         for one in wanted:
@@ -70,7 +77,9 @@ def refitted_law(
     with lifted():  # what was refitted is an answer
         left = refits.path.residuals(tried.effects, tried.arrived)
         found = [one for one in each if one is not None and _takes_the_colour(left, one.null)]
-        best = _most_probable(found, refits.pool[frozenset()], tried) if found else None
+    of_all = by_all_data(refits, found, fresh)
+    with lifted():
+        best = _most_probable(found, refits.pool[frozenset()], tried, of_all or found) if found else None
     if best is None:
         return None
     price = (len(tried.effects) - 1) * max(further, 0.0)
@@ -90,22 +99,24 @@ def leading(refits: Refits) -> list[tuple[str, str]]:
     """Ports and signals of the functions that follow the motion over short windows, where the model without effects is
     far from it, the best first. They are followed to the whole record at once, as an answer will need them."""
     none = refits.pool[frozenset()]
-    if not is_far(refits.path.residuals(none.effects, none.arrived)):
+    if not is_far(refits.path.residuals(none.effects, none.arrived)) or not tells(refits, none):
         return []
-    begun, count = raced(refits)
+    begun, count = raced(refits, unused_everywhere(refits.refitter.model, refits.null_fit.free))
     if not begun:
         return []
-    most = min(_NEAR * begun[0].found.cost, chance(refits, none, count), _LEADS**2 * begun[0].problem.count)
-    for one in _distinct(begun, most):
+    if not begun[0].follows:
+        return []
+    most = min(_NEAR * begun[0].found.cost, chance(refits, none, count))
+    for one in (*_distinct(begun, most), *_distinct(begun, most, elsewhere=True)):
         followed(refits, one)
-    return [one.at for one in begun if one.found.cost <= most]
+    return [one.at for one in begun if one.follows and one.found.cost <= most]
 
 
-def _distinct(begun: Sequence[Begun], most: float) -> list[Begun]:
-    """The best functions over short windows that their ports know, each once."""
+def _distinct(begun: Sequence[Begun], most: float, *, elsewhere: bool = False) -> list[Begun]:
+    """The best functions over short windows that their ports know, or do not, each once."""
     near: list[Begun] = []
     for one in begun:
-        if not one.elsewhere and one.found.cost <= most and not one.is_again(near):
+        if one.elsewhere is elsewhere and one.found.cost <= most and not one.is_again(near):
             near.append(one)
     return near[:_FOLLOWED]
 
@@ -121,17 +132,30 @@ def is_far(null: NullModel) -> bool:
     return False
 
 
-def _most_probable(followed: Sequence[Followed], none: Tried, tried: Tried) -> UnknownLaw | None:
-    """The most probable of some functions, all held against the noise that the one leaves which leaves least."""
+def follows_by_function(refits: Refits) -> bool:
+    """True if the model follows the whole records with some function: then it is no other start that it lacks."""
+    return any(one is not None and not is_far(one.null) for one in Race.of(refits).whole.values())
+
+
+def _most_probable(
+    followed: Sequence[Followed], none: Tried, tried: Tried, of_all: Sequence[Followed]
+) -> UnknownLaw | None:
+    """The most probable of some functions, all held against the noise that the one leaves which leaves least.
+
+    of_all : the same by all data, which tell them from each other
+    """
     levels = min(followed, key=lambda one: one.left).levels
-    found = [(one, *one.log(levels)) for one in followed]
-    one, log, best = max(found, key=lambda own: own[1])
+    widest = min(of_all, key=lambda one: one.left).levels
+    odds = [one.log(widest)[0] for one in of_all]
+    one = followed[int(np.argmax(odds))]
+    log, best = one.log(levels)
     if not math.isfinite(log):
         return None
     zero, named, law = (evidence(own, levels) for own in (none.digest, tried.digest, best))
     share = (zero.cost - named.cost) / (zero.cost - law.cost) if zero.cost > law.cost else 1.0
     course, alike = _course(best, one.null, one.setup, levels), len(tried.effects) > 1
-    rivals = not_told_from(one.setup.family, [(own.setup.family, odds) for own, odds, _ in found])
+    families = [own.setup.family for own in followed]
+    rivals = not_told_from(one.setup.family, list(zip(families, odds, strict=True)))
     return UnknownLaw(
         course, log - named.log, share, alike, near_of(tried, one.setup.family.port), rivals=rivals
     )

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.deadline import left as seconds_left
 from casadi_engine.discrepancy.ways_to_read import Reading, readings
 from casadi_engine.discrepancy.wording import HINT
 from casadi_engine.errors import CasadiEngineError
@@ -46,6 +47,8 @@ _READ = ("input", "sensor", "parameter")
 _LOOK, _LOOKS, _MORE = 0.5, 10.0, 4.0
 # Ways that leave no more than this factor times the squares of the best one are as good.
 _ALIKE = 1.1
+# Share of the time for all looks that one may take: a way in which nothing can be simulated takes no end.
+_LOOKED = 1 / 8
 # Beside a way that is good only those are fitted that left no more than this factor times its squares at first sight.
 _PROMISING = 2.0
 _FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError, ValueError)
@@ -203,13 +206,13 @@ class _Readings:
             if held[name].vary:
                 held.fix(name)
         few = tuple(_moving(record, self.model, _SAMPLES // len(self.data)) for record in self.data)
-        looks = []
+        looks, half = [], 0.5 * seconds_left()  # the rest of a limited time is for what looked well
         with Deadline(best=True) as spent:
             for one in ways:
-                found = self._fit([one.of(record) for record in few], held, _LOOK * work)
+                found = self._fit([one.of(record) for record in few], held, _LOOK * work, _LOOKED * half)
                 if found is not None:
                     looks.append((_left(found), one))
-                if spent.done > _LOOKS * work:
+                if spent.done > _LOOKS * work or seconds_left() < half:
                     break
         looks.sort(key=lambda pair: pair[0])
         fits: list[tuple[float, Reading, dict[str, float]]] = []
@@ -247,10 +250,12 @@ class _Readings:
         found = self._fit(still, held, _LOOK * work)
         return found is None or min(followed(found).values(), default=0.0) < _GOOD
 
-    def _fit(self, records: Sequence[Experiment], parameters: Parameters, work: float) -> Fit | None:
-        """The fit to records, as far as the work reaches; None where it fails."""
+    def _fit(
+        self, records: Sequence[Experiment], parameters: Parameters, work: float, seconds: float = math.inf
+    ) -> Fit | None:
+        """The fit to records, as far as the work and the time reach; None where it fails."""
         try:
-            with np.errstate(all="ignore"), Deadline(work=work, best=True):
+            with np.errstate(all="ignore"), Deadline(seconds, work=work, best=True):
                 found = estimate(
                     self.model, records, parameters=parameters, noise=self.noise, starts=1, progress=False,
                     errors="quadratic", **self.options,

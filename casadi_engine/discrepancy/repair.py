@@ -24,6 +24,7 @@ from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import FRESH
 from casadi_engine.discrepancy.input_hold import other_hold
 from casadi_engine.discrepancy.kept_near import KEPT_NEAR, kept_near
+from casadi_engine.discrepancy.law_refit import follows_by_function
 from casadi_engine.discrepancy.lost_beginning import with_lost_beginning
 from casadi_engine.discrepancy.lost_fit import explained, found_again
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
@@ -327,7 +328,7 @@ class _Job:
                 self.search = None
                 return self._no_answer(null_fit, alpha, fault, of=_NO_VALUE)
         self.timing |= search.timing
-        if not null_fit.converged and not search.best:
+        if not (null_fit.converged or search.best or follows_by_function(search.refits)):
             return self._no_answer(null_fit, alpha)
         told = [*remarks(search.chosen.fit, scatter), *self.cut]
         widths = ", ".join(f"{one.width} = {pars[one.width].value:.2g}" for one in self.model.corners)

@@ -96,7 +96,11 @@ def readings(model: Model, data: Sequence[Experiment], *, every: bool = False) -
     for factor, words in _CLOCKS.items():
         found.append(Reading("time", (), f"{_TIME} times {factor:.4g} ({words})", "look at its unit", factor))
     found = sorted(found, key=lambda one: (one.factor != -1.0, one.what != "time", _PREFIX not in one.words))
-    found += [*_exchanged(moving), *_exchanged(outputs), *(_across(moving, outputs) if every else ())]
+    usual = sum(one.factor == -1.0 or one.what == "time" for one in found)
+    # a look is as cheap at two columns exchanged as at one of the many units
+    found[usual:usual] = [
+        *_exchanged(moving), *_exchanged(outputs), *(_across(moving, outputs) if every else ()),
+    ]  # fmt: skip
     found += _temperatures("input", moving)
     return [*found, *(one for one in _temperatures("output", outputs) if every or not one.named)]
 

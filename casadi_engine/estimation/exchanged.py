@@ -91,7 +91,8 @@ def twins(search: Search, errors: Uncertainty, limit: float) -> list[Twin]:
     ``limit``, the others and the first states at their best; and likewise what may have the other sign."""
     starts = [lay.take(errors.x)[0] for lay in search.problem.layouts]
     metric = np.asarray(np.linalg.pinv(errors.covariance.matrix, hermitian=True), dtype=np.float64)
-    return list(_twins(search, errors.v, starts, metric, limit))
+    joined = printed_cost(search, errors.v, [point.r for point in search.problem.at(errors.x).records])
+    return list(_twins(search, errors.v, starts, metric, limit, joined=joined))
 
 
 def mirrored_starts(search: Search, v: Array, starts: Sequence[Array], limit: float) -> list[Twin]:
@@ -109,12 +110,17 @@ def _twins(
     limit: float,
     *,
     states: bool = False,
+    joined: float = np.inf,
 ) -> Iterator[Twin]:
-    """See ``twins``; metric (N, N) of distances from [v; first states], states : those that move first states alone."""
+    """See ``twins``; metric (N, N) of distances from [v; first states], states : those that move first states alone;
+    joined : chi-squared of the optimum from interval to interval, which one simulation has to come to: where it runs
+    away from what is measured, what runs away less is no better explanation."""
     most = _WORK
     names, known = search.pmap.free, [np.concatenate([v, *starts]) if states else v]
     optimum, stages = _Exchange(search, search.records, list(starts), Move(), 0.0), _stages(search)
     here = optimum.cost(v)
+    if here > joined + limit:
+        return
     for move, at in _places(search, v, starts, states=states):
         if most <= 0 and move != Move():
             continue

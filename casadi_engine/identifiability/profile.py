@@ -36,6 +36,8 @@ _BETTER = 1e-3
 _HALVED, _NARROW = 12, 0.01
 # Root of the rise, as a share of that at the threshold, by which no refit leaps from the last one.
 _LEAP = 0.5
+# Standard errors within which two optima are one.
+_ALIKE = 0.1
 # How it begins what is said of a side on which a refit was not to be had.
 LOST = "the refit"
 
@@ -202,6 +204,8 @@ class _Walker:
     def __init__(self, fit: Fit, threshold: float, points: int, progress: Any) -> None:
         self.fit, self.threshold, self.points, self.progress = fit, threshold, points, progress
         levels: dict[str, Any] = {name: sigma for name, (sigma, _) in fit.noise.items()}
+        if fit.innovations is not None and fit.innovations.kind == "process":
+            levels = dict(fit.innovations.sigma)  # the noise of the measurement is a part of these
         self.noise = Noise(gain=fit.gain, **levels)
         # The fixed states of the fit stay fixed; its cost counts with the noise levels that it found.
         self.initial = {
@@ -212,15 +216,37 @@ class _Walker:
         self.messages: list[str] = []
         if fit.gain is not None:
             self.messages.append("the predictor's gain is held at the fit's, not estimated again")
-        self.base = fit.cost
         # A search in the frequency domain takes valleys that one from nearby does not.
         self.in_full = "frequency bins" not in str(fit.options.get("searched on", ""))
+        self.base = self._again() if fit.innovations is not None else fit.cost
         most = max((fit.own_noise.get(name, 1.0) for name in fit.free), default=1.0)
         if most > _SEEN:
             self.messages.append(
                 "the residual is not white noise of the fit's level: the rise of the cost is divided by what that "
                 f"makes of the squared errors, up to {most**2:.2g}"
             )
+
+    def _again(self) -> float:
+        """The cost of a fit with a predictor as refits count it, which is to be one at the same values.
+
+        Raises EstimationError where it is not: nothing that is looked at around it tells of the fit then.
+        """
+        fit = self.fit
+        warm = _Warm(fit.values, fit.initial, fit.noise, self.in_full, fit.fineness)
+        found = self._estimated(fit.parameters.copy(), warm)
+        moved = {
+            name: abs(found.values[name] - fit.values[name]) for name in found.free if name in fit.values
+        }
+        errors = {name: fit.estimates[name].stderr or fit.estimates[name].quadratic for name in moved}
+        far = [n for n, by in moved.items() if by > _ALIKE * (errors[n] or math.inf)]
+        if not found.converged or far:
+            raise EstimationError(
+                "the fit's predictor held as it is has another optimum, so that no profile tells of the fit",
+                seen=f"{', '.join(far)} elsewhere" if far else f"a refit that is {found.status}",
+                allowed="a fit whose values are the best ones beside its predictor",
+                cure="ce.posterior(fit) has the noise estimated again; or profile a fit without a predictor",
+            )
+        return float(found.cost)
 
     def line(self, name: str) -> ProfileLine:
         own = self.fit.estimates[name]

@@ -263,6 +263,12 @@ class Port:
         return f"{self.name} ({self.kind}): {', '.join(self.signals)}"
 
 
+def _of_one_unit(a: Port, b: Port, signal: str) -> bool:
+    """False where two ports have a signal of which no difference is to be had, as a voltage and a charge, or where that
+    is not known, as one of them has no unit."""
+    return a.units.get(signal) == b.units.get(signal)
+
+
 def _above_zero(port: Port, name: str) -> Any:
     """A signal; of a temperature above others, such as T - T_out, the one that is counted from them."""
     signal, unit = port.signals[name], port.units.get(name)
@@ -301,7 +307,7 @@ class Ports(Sequence[Port]):
     @cached_property
     def links(self) -> tuple[Port, ...]:
         """A link ``a_and_b`` for every two inertias whose slots have the same known unit and that have a signal of one
-        name; a pipe, where that unit is neither of a torque nor of a force.
+        name and of one unit; a pipe, where that unit is neither of a torque nor of a force.
 
         Its signals ``first`` and ``second`` are the first such signal of a and of b, ``difference`` is a's less b's. A
         temperature less that of what is around the body is there the body's own: two bodies need not have one
@@ -312,7 +318,7 @@ class Ports(Sequence[Port]):
         pairs = [(a, b) for a, b in combinations(able, 2) if a.unit == b.unit]
         found = []
         for a, b in pairs:
-            shared = [name for name in a.signals if name in b.signals and name != "angle"]
+            shared = [n for n in a.signals if n in b.signals and n != "angle" and _of_one_unit(a, b, n)]
             if shared:
                 first, second = (_above_zero(port, shared[0]) for port in (a, b))
                 signals = {"difference": first - second, "first": first, "second": second}

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from casadi_engine.errors import ConstraintError, ParameterError, TieError
 from casadi_engine.parameters.collection import Parameters
 from casadi_engine.parameters.constraint import FrequencyConstraint
-from casadi_engine.parameters.feasibility import check_feasible
+from casadi_engine.parameters.feasibility import check_feasible, check_priors
 from casadi_engine.parameters.names import near_matches
 
 Ties = Literal["substitute", "constraint"]
@@ -132,8 +132,8 @@ def compile(
     ties : "substitute" removes tied parameters from z; "constraint" keeps those that depend on a free one
         in z and adds an equality for each, in units of the tied parameter's magnitude
 
-    Raises ParameterError for unknown names and for free parameters that nothing depends on, TieError for
-    a tie without a finite value, and ConstraintError for a constraint that cannot be met: on fixed
+    Raises ParameterError for unknown names, for free parameters that nothing depends on and for a prior outside the
+    bounds, TieError for a tie without a finite value, and ConstraintError for a constraint that cannot be met: on fixed
     parameters alone, or, if all parts are linear, within the bounds.
     """
     _check_arguments(parameters, names, records, ties)
@@ -156,6 +156,7 @@ def compile(
     constraints = (*_user_constraints(layout, expanded), *bounds, *equalities)
     z = layout.z
     check_feasible(z, constraints, start, lower, upper)
+    check_priors(z, priors, lower, upper)
     return ParameterMap(
         names=tuple(names),
         records=layout.records,

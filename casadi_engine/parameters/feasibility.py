@@ -1,4 +1,5 @@
-"""Proof that constraints which are linear in the free parameters cannot be met within the bounds."""
+"""Proof that what is asked of parameters contradicts itself before any data are seen: constraints that are linear in
+the free parameters and cannot be met within the bounds, and priors that have next to nothing within them."""
 
 from __future__ import annotations
 
@@ -10,12 +11,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.errors import ConstraintError
+from casadi_engine.errors import ConstraintError, ParameterError
 
 if TYPE_CHECKING:
-    from casadi_engine.parameters.compiled import CompiledConstraint
+    from casadi_engine.parameters.compiled import CompiledConstraint, CompiledPrior
 
 SLACK = 1e-9
+# Standard deviations beyond which less than one in a million of a normal prior lies.
+OUTSIDE = 5.0
 INFEASIBLE = 2  # scipy.optimize.linprog's status
 
 
@@ -50,6 +53,30 @@ def check_feasible(
     for row, index in enumerate(affine):
         _check_interval(constraints[index], value[row], slope[row], slack[row], lower - start, upper - start)
     _check_together([constraints[i].label for i in affine], value, slope, low, high, start, lower, upper)
+
+
+def check_priors(
+    z: Any, priors: Sequence[CompiledPrior], lower: NDArray[np.float64], upper: NDArray[np.float64]
+) -> None:
+    """Raise ParameterError for a prior that is affine in `z` and has next to nothing of its probability within the
+    bounds: lower, upper : (nz,)."""
+    affine = [one for one in priors if ca.is_linear(one.expression, z)]
+    if not affine:
+        return
+    stacked = ca.vertcat(*(one.expression for one in affine))
+    function = ca.Function("priors", [z], [stacked, ca.jacobian(stacked, z)])
+    value, slope = (part.full() for part in function(np.zeros(z.numel())))
+    for one, at, own in zip(affine, value.ravel(), slope, strict=True):
+        used = own != 0  # 0 * inf is nan
+        ends = np.stack((own[used] * lower[used], own[used] * upper[used]))
+        least, most = at + ends.min(axis=0).sum(), at + ends.max(axis=0).sum()
+        if max(least - one.mean, one.mean - most) > OUTSIDE * one.sigma:
+            raise ParameterError(
+                f"the prior of {one.label} lies outside its bounds",
+                seen=f"{one.mean:.6g} ± {one.sigma:.3g}, where bounds leave {least:.6g} to {most:.6g}",
+                allowed=f"a prior with a mean within {OUTSIDE:g} of its standard deviations from the bounds",
+                cure="widen the bounds, or correct the prior",
+            )
 
 
 def _check_interval(

@@ -135,6 +135,7 @@ def test_a_structure_that_an_exchange_found_is_kept_when_its_corners_are_sharpen
     for name in ("_special_cases_of", "_again_without", "_told"):
         monkeypatch.setattr(Choice, name, lambda *_: None)
     monkeypatch.setattr(module, "weak_beside_colour", lambda *_: False)
+    monkeypatch.setattr(module, "is_rounding", lambda *_: False)
     monkeypatch.setattr(module, "vanished", lambda *_: False)
     monkeypatch.setattr(module, "simpler", lambda now, *_: now)
     for name in ("in_its_parts", "late_otherwise"):

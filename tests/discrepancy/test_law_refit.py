@@ -142,7 +142,7 @@ def test_functions_that_follow_the_motion_lead_and_are_followed_once(searched):
 
 
 def test_nothing_leads_that_leaves_more_than_noise_over_short_windows(searched, monkeypatch):
-    monkeypatch.setattr("casadi_engine.discrepancy.law_refit._LEADS", 0.1)
+    monkeypatch.setattr("casadi_engine.discrepancy.law_race._FOLLOWS", 0.1)
     assert leading(searched) == []
     monkeypatch.setattr("casadi_engine.discrepancy.law_refit.is_far", lambda null: False)
     assert leading(searched) == []
@@ -158,10 +158,10 @@ def test_a_function_that_needs_more_work_than_it_may_have_is_none_that_failed(se
     own = law_race.Race(setups=race.setups)
     kept, searched.race = searched.race, own
     try:
-        law_race._through(searched, none, {setup.at: setup}, 1e-9)
+        law_race._through(searched, none, {setup.at: setup}, (), 1e-9)
         assert not own.begun
         assert not own.failed
-        law_race._through(searched, none, {setup.at: setup}, 1.0)
+        law_race._through(searched, none, {setup.at: setup}, (), 1.0)
         assert setup.at in own.begun
     finally:
         searched.race = kept
