@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     )
     from casadi_engine.effects.stiffness import Backlash, CubicStiffness
     from casadi_engine.effects.table import table
+    from casadi_engine.effects.storage import HiddenStorage, Relaxation
     from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
     from casadi_engine.effects.transfer import Overflow, Transfer
     from casadi_engine.model.combustion import Motored, fit_motored
@@ -50,6 +51,7 @@ __all__ = [
     "CylinderImbalance",
     "Effect",
     "Grid",
+    "HiddenStorage",
     "Impulse",
     "InputDelay",
     "InputGain",
@@ -61,6 +63,7 @@ __all__ = [
     "Motored",
     "Overflow",
     "QuadraticDrag",
+    "Relaxation",
     "SensorDelay",
     "SensorGain",
     "SensorLag",
@@ -106,6 +109,7 @@ import_at_first_use(
         ),
         "casadi_engine.effects.stiffness": ("Backlash", "CubicStiffness"),
         "casadi_engine.effects.table": ("table",),
+        "casadi_engine.effects.storage": ("HiddenStorage", "Relaxation"),
         "casadi_engine.effects.torque": ("ConstantTorque", "Impulse", "LoadStep"),
         "casadi_engine.effects.transfer": ("Overflow", "Transfer"),
         "casadi_engine.model.combustion": ("Motored", "fit_motored"),

@@ -20,6 +20,7 @@ from casadi_engine.effects.sensor import (
     SensorOffset,
 )
 from casadi_engine.effects.stiffness import Backlash, CubicStiffness
+from casadi_engine.effects.storage import HiddenStorage, Relaxation
 from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
 from casadi_engine.effects.transfer import Overflow, Transfer
 from casadi_engine.errors import EffectError
@@ -45,6 +46,8 @@ def library(*names: str) -> tuple[Effect, ...]:
         ConstantTorque(),
         CubicStiffness(),
         Backlash(),
+        HiddenStorage(),
+        Relaxation(),
         Misfire(),
         CylinderImbalance(),
         LoadStep(),

@@ -18,13 +18,15 @@ VARIES = 1e-3
 SHORTEST, _LONGEST = 0.5, 0.25
 
 
-def time_constants(time: Any, shortest: float = SHORTEST) -> tuple[float, float] | None:
+def time_constants(
+    time: Any, shortest: float = SHORTEST, most: float = _LONGEST
+) -> tuple[float, float] | None:
     """The least and the largest one [s] that a record of these times (N,) can show; None of too few samples.
 
-    shortest : in samples
+    shortest : in samples; most : as a share of the record
     """
     step, length = float(np.median(np.diff(time))), float(time[-1] - time[0])
-    low, high = float(f"{shortest * step:.2g}"), float(f"{_LONGEST * length:.2g}")
+    low, high = float(f"{shortest * step:.2g}"), float(f"{most * length:.2g}")
     return (low, high) if low < high else None
 
 

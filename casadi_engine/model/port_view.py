@@ -66,6 +66,11 @@ class PortView:
         """True if the port has a signal of that name."""
         return signal in self._port.signals
 
+    @property
+    def is_mechanical(self) -> bool:
+        """True where a torque or a force acts."""
+        return self._port.is_mechanical
+
     def is_temperature(self, signal: str) -> bool:
         """True if the unit of a signal is one of temperature."""
         unit = self._port.units.get(signal)

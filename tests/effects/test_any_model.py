@@ -133,7 +133,12 @@ def test_every_effect_acts_or_says_why_it_cannot(name):
     rng = np.random.default_rng(0)
     for effect in ce.effects.library():
         for port in model.ports:
-            acts = effect.name in expected.get(port.name, set())
+            own = expected.get(port.name, set())
+            acts = effect.name in own
+            acts = acts or (
+                effect.name == "hidden_storage" and port.kind == "inertia" and "viscous_friction" in own
+            )
+            acts = acts or (effect.name == "relaxation" and "cubic_stiffness" in own)
             acts = acts or (port.kind == "sensor" and effect.name in SENSORS)
             acts = acts or (port.kind == "parameter" and effect.name == "wrong_value")
             acts = acts or (port.kind == "input" and effect.name.startswith("input_"))

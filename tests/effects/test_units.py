@@ -59,7 +59,10 @@ def test_a_law_gives_the_same_in_any_units_when_its_parameters_are_converted_as_
         values = {n: _AT - 5e-3 if n.endswith(".time") else float(rng.uniform(0.2, 0.8)) for n in names}
         units = [plain.parameters(), other.parameters()]
         same = {n: float(converted([values[n]], units[0][n].unit, units[1][n].unit)[0]) for n in names}
-        acting = [_acting(model, x, p) for model, x, p in ((plain, state, values), (other, moved, same))]
+        stored = system[2] if port == "body" else system[1]  # what a storage holds has the unit of its signal
+        own = float(converted([0.15], base[2] if port == "body" else base[1], stored)[0])
+        pairs = ((plain, [*state, 0.15], values), (other, [*moved, own], same))
+        acting = [_acting(model, x[: model.x.numel()], p) for model, x, p in pairs]
         assert float(converted(acting[1], acts, base[0])) == pytest.approx(acting[0], rel=1e-9)
         assert abs(acting[0]) > 1e-6
 

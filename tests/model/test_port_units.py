@@ -110,11 +110,14 @@ def test_heat_flows_by_the_difference_of_two_temperatures_whatever_is_around_eac
     for name, temperature, signal in (("collector", collector, above), ("tank", tank, tank - room)):
         b.ode(temperature.name(), b.port(name, "inertia", {"speed": signal}) / size)
         b.output(f"{name}_temperature", temperature, unit="K")
+    if written == "T * T - outside":  # of which there is no difference from a temperature
+        assert not b.model().ports.links
+        return
     link = b.model().ports["collector_and_tank"]
     value = ca.Function("f", [collector, tank, outside, room], [link.signals["difference"]])(
         350, 310, 280, 293
     )
-    assert float(value) == pytest.approx(40.0 if written != "T * T - outside" else 350**2 - 280 - 310)
+    assert float(value) == pytest.approx(40.0)
 
 
 def test_a_drive_that_an_effect_adds_has_the_unit_of_its_port():
