@@ -15,8 +15,6 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-import numpy as np
-
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
 from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
@@ -35,7 +33,7 @@ from casadi_engine.discrepancy.exchanged_units import impossible, more_than_whol
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.membership import simpler
-from casadi_engine.discrepancy.pairs import price_of, tried_in_two, with_one_more
+from casadi_engine.discrepancy.pairs import price_of, together, tried_in_two, with_one_more
 from casadi_engine.discrepancy.path import Arrived
 from casadi_engine.discrepancy.refit import Refitter, vanished
 from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried
@@ -382,7 +380,7 @@ class Choice:
             best = self._most_probable(tried)
             gain = -math.inf if best is None else best.log - here.log
             if best is not None and not here.effects:
-                gain = _together(best, tried) - here.log
+                gain = together(best, tried) - here.log
             white = not (screened.noise.colour or self.refits.levels.memory or screened.choice.rounded)
             calibrated = bool(screened.significant) and white
             # that anything is missing is told by all together; one more effect has to show it alone
@@ -644,10 +642,3 @@ class Choice:
         made = work()
         self.timing[what] = self.timing.get(what, 0.0) + time.perf_counter() - begun
         return made
-
-
-def _together(best: Tried, tried: Sequence[Tried]) -> float:
-    """The log evidence of the best structure and of its rivals together: that one of them is right is more probable
-    than each alone."""
-    rivals = [t.log for t in tried if t is not best and t.beyond > BEYOND and len(t.key) == len(best.key)]
-    return float(np.logaddexp.reduce([best.log, *rivals]))

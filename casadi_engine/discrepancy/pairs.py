@@ -10,8 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
 from casadi_engine.deadline import ask
 from casadi_engine.discrepancy.events import by_one_step
+from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import FACTOR, Refits, Tried
@@ -87,3 +90,10 @@ def with_one_more(
         # the optimum with one of them is near; short windows may lead away where few outputs are measured
         made += refits.tried(both, start, near=True) or refits.tried(both, start)
     return made
+
+
+def together(best: Tried, tried: Sequence[Tried]) -> float:
+    """The log evidence of the best structure and of its rivals together: that one of them is right is more probable
+    than each alone."""
+    rivals = [t.log for t in tried if t is not best and t.beyond > BEYOND and len(t.key) == len(best.key)]
+    return float(np.logaddexp.reduce([best.log, *rivals]))

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
         SensorOffset,
     )
     from casadi_engine.effects.stiffness import Backlash, CubicStiffness
-    from casadi_engine.effects.table import table
     from casadi_engine.effects.storage import HiddenStorage, Relaxation
+    from casadi_engine.effects.table import table
     from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
     from casadi_engine.effects.transfer import Overflow, Transfer
     from casadi_engine.model.combustion import Motored, fit_motored

@@ -13,6 +13,7 @@ from casadi_engine.estimation.doubt import CALL, Doubt
 from casadi_engine.estimation.exchanged import twins
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.foreseen_ends import FAR, Rises
+from casadi_engine.estimation.innovations import STABLE
 from casadi_engine.estimation.limited_ends import Limits
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
@@ -74,6 +75,17 @@ def lost(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> lis
             )
             found.append(Doubt("lost", text, np.zeros(len(errors.covariance.matrix))))
     return found
+
+
+def unstable(errors: Uncertainty) -> list[Doubt]:
+    """A predictor at the limit of its stability: no noise has such a gain, and what the limit holds is not known by it."""
+    if not any(name.startswith(STABLE) for name in errors.acting):
+        return []
+    text = (
+        "the predictor rests at the limit of its stability, with a gain that no noise has: the errors are not known; "
+        'give process="estimate", whose gain is one that noise can have, or noise of the measurement alone'
+    )
+    return [Doubt("lost", text, np.zeros(len(errors.covariance.matrix)))]
 
 
 def exchanged(search: Search, errors: Uncertainty) -> list[Doubt]:

@@ -33,6 +33,7 @@ from casadi_engine.estimation.beside_optimum import (
     rivals,
     state_bounds,
     uneven,
+    unstable,
 )
 from casadi_engine.estimation.dichotomy import grows
 from casadi_engine.estimation.doubt import CALL, FLAT, RUGGED, Doubt
@@ -92,7 +93,7 @@ def doubts_of(
     rises: dict[str, Rises] = {}
     of_states: dict[int, Rises] = {}
     found = rivals(search, best, errors, optima)
-    found += lost(search, errors, residuals) + interpolated(search, errors)
+    found += lost(search, errors, residuals) + interpolated(search, errors) + unstable(errors)
     found += [] if found else exchanged(search, errors)
     if growing(search, best) is None:
         around = _Around(search, best, errors, residuals)

@@ -36,8 +36,8 @@ _BLIND = 1e-12
 _STEPS, _FALLS = 8, 0.5
 # Share of a parameter from which a step down is another one in its inverse.
 _BENDS = 0.1
-# Chi-squared that rises between two optima.
-_RISES = 1.0
+# Chi-squared that rises between two optima; and less than which a step down gains nothing.
+_RISES, _FLAT = 1.0, 0.1
 # First samples of each record that may deny a move before all of it is simulated; records of fewer than _LONG times as
 # many are simulated at once.
 _HEAD, _LONG = 1000, 4
@@ -141,7 +141,7 @@ def _twins(
                 break
         if not higher < limit or search.constraints.violated(exchange.v):
             continue
-        if not _apart(search, v, starts, exchange, here + max(higher, 0.0)):
+        if not _apart(search, v, starts, exchange, here + max(higher, 0.0), metric):
             continue
         point = np.concatenate([exchange.v, *exchange.starts])
         if not any(np.allclose(point[: len(one)], one, rtol=0, atol=_SAME) for one in known):
@@ -175,15 +175,19 @@ def _differing(search: Search, v: Array, other: Array) -> tuple[tuple[str, float
     return tuple((search.pmap.free[k], float(there[k])) for k in np.flatnonzero(far))
 
 
-def _apart(search: Search, v: Array, starts: Sequence[Array], end: _Exchange, cost: float) -> bool:
-    """True if chi-squared rises between an optimum and where a move led; between values that are nearly one, or small,
-    it is flat."""
+def _apart(
+    search: Search, v: Array, starts: Sequence[Array], end: _Exchange, cost: float, metric: Array
+) -> bool:
+    """True if chi-squared rises between an optimum and where a move led, with all but what moved most at its best:
+    between values that are nearly one, or small, it is flat, and along a valley that bends."""
     half = [0.5 * (a + b) for a, b in zip(starts, end.starts, strict=True)]
-    middle = _Exchange(search, search.records, half, Move(), 0.0)
+    middle = _Exchange(search, search.records, half, Move(), cost + _RISES)
+    moved = np.concatenate([end.v - v, *(b - a for a, b in zip(starts, end.starts, strict=True))])
+    middle.hold(int(np.argmax(np.abs(moved) * np.sqrt(np.maximum(np.diag(metric), 0.0)))))
     values = 0.5 * (search.coordinates.values(v) + search.coordinates.values(end.v))
     try:
         with np.errstate(all="ignore"):
-            between = middle.cost(search.coordinates.of(values))
+            between = middle.lowest(search.coordinates.of(values))
     except (FloatingPointError, np.linalg.LinAlgError, ModelError):
         return True
     return not between < cost + _RISES
@@ -234,6 +238,10 @@ class _Exchange:
             self._held += [at + i for i in move.states]
             at += len(start)
 
+    def hold(self, entry: int) -> None:
+        """Let an entry of [v; first states] stay where it is."""
+        self._held.append(entry)
+
     def settled(self, v: Array, before: Array) -> float:
         """Chi-squared with the exchange at v (nv,), the others going on from there where that serves.
 
@@ -256,6 +264,18 @@ class _Exchange:
             if not cost < _FALLS * last:
                 break
         self.v = v
+        return cost
+
+    def lowest(self, v: Array) -> float:
+        """Chi-squared where steps from v (nv,) end that go down, or are below the limit."""
+        cost = self.cost(v)
+        for _ in range(_STEPS):
+            if cost < self._limit:
+                break
+            last = cost
+            v, cost = self._taken(*self._step(v))
+            if not cost < last - _FLAT:
+                return min(cost, last)
         return cost
 
     def _taken(self, now: Array, moved: Array, *, inverse: bool = False) -> tuple[Array, float]:

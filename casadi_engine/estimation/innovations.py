@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 # The closed loop's radius is judged over at least this many doublings of a sample, and no more than that many.
 _LEAST, _MOST = 8, 16
 
+# How the constraint that keeps a predictor from running away is called.
+STABLE = "the predictor is stable"
+
 
 class StableLoop:
     """The constraint that a predictor forgets: log_decay of its closed loop from one output sample to the next < 0."""
@@ -30,7 +33,7 @@ class StableLoop:
         self._record, self._every, self._size = record, every, size
         samples = max(record.grid.samples // every, 2)
         self._doublings = int(np.clip(np.ceil(np.log2(samples)), _LEAST, _MOST))
-        self.label = "the predictor is stable" + ("" if alone else f" in {record.experiment.name}")
+        self.label = STABLE + ("" if alone else f" in {record.experiment.name}")
 
     def _decay(self, v: Array, order: int) -> Array:
         loop, d = closed_loop(self._record, v, self._every, order)

@@ -373,3 +373,21 @@ def test_all_ways_are_fitted_where_nothing_else_would_tell_them():
     """Far from the parameters' start the right way does not look the best at first sight."""
     found = alone(cart(both=False), recorded(run(k=25.0), time=1e-3))
     assert "with the time times 1000 (seconds stated as milliseconds)" in found.words
+
+
+def test_a_limited_time_is_kept_for_what_looked_well(monkeypatch):
+    """A look at nonsense takes no end; on the command line none of the ways was fitted then."""
+    ways = readings(cart(both=False), (recorded(run()),), every=True)
+    order = [one.what for one in ways]
+    scaled = [k for k, one in enumerate(ways) if one.what in ("input", "output") and one.factor != -1.0]
+    assert order.index("numbers") < min(scaled)
+    looked = []
+    monkeypatch.setattr(module, "seconds_left", lambda: 8.0 - len(looked))
+    monkeypatch.setattr(
+        module._Readings, "_fit",
+        lambda self, records, parameters, work, seconds=None: looked.append(seconds),
+    )  # fmt: skip
+    record = recorded(run())
+    job = module._Readings(cart(both=False), (record,), cart(both=False).parameters(), None, {}, len(ways))
+    assert job.good(ways, 1.0, lambda shares: True) == []
+    assert looked == [0.5] * 5  # an eighth of half of the time each, and no more after that half

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -426,3 +427,58 @@ def test_covariances_go_with_one_stride_of_the_outputs(shaft_model):
     assert "one distance between samples, and these records have several" in str(caught.value)
     assert "an output at every 1., 3. step of the inputs" in str(caught.value)
     assert "resample them alike" in str(caught.value)
+
+
+def warmed(seed):
+    """A body of 50 J/K behind 2 K/W without much noise of its own, by its closed form over a sample."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0, 600, 5.0)
+    power = np.where((time // 100) % 2 == 0, 10.0, 2.0)
+    decay, x, found = np.exp(-5 / 100), 0.0, []
+    moved = 0.02 * np.sqrt((1 - decay**2) / (2 / 100))
+    for k in range(len(time)):
+        found.append(x)
+        x = decay * x + (1 - decay) * 2 * power[k] + moved * rng.standard_normal()
+    y = np.array(found) + 0.1 * rng.standard_normal(len(time))
+    units = {"P": "W", "y": "K"}
+    return ce.Experiment.from_arrays("r", time=time, units=units, hold={"P": "zero"}, P=power, y=y)
+
+
+def body():
+    b = ce.Blueprint("body")
+    r = b.parameter("R", 2.0, unit="K/W", min=0.1)
+    c = b.parameter("C", 50.0, unit="J/K", min=1)
+    above, power = b.state("T", unit="K"), b.input("P", unit="W")
+    b.ode("T", (power - above / r) / c)
+    b.output("y", above, unit="K")
+    return b.model()
+
+
+def test_a_predictor_at_the_limit_of_its_stability_has_no_errors():
+    """A gain below zero is none that noise has; R had an error six times too small beside it."""
+    fit = ce.estimate(body(), warmed(1106), noise=ce.Noise(y="innovations"), progress=False)
+    assert fit.innovations.radius > 0.999
+    assert fit.messages[0].startswith("the predictor rests at the limit of its stability")
+    assert all(fit.estimates[name].stderr is None for name in fit.free)
+    fit = ce.estimate(body(), warmed(1004), noise=ce.Noise(y="innovations"), progress=False)
+    assert fit.innovations.radius < 0.9
+    assert fit.estimates["R"].stderr
+
+
+@pytest.mark.parametrize("noise", [{"process": {"T": "estimate"}, "y": 0.1}, {"y": "innovations"}])
+def test_a_profile_beside_a_predictor_agrees_with_the_errors_of_its_fit(noise):
+    """Its levels were those of the measurement alone: the interval had no width."""
+    fit = ce.estimate(body(), warmed(1004), noise=ce.Noise(**noise), progress=False)
+    low, high = ce.profile(fit, "R", points=3).intervals["R"]
+    half = 0.5 * (high - low)
+    assert half == pytest.approx(1.98 * fit.estimates["R"].stderr, rel=0.2)
+    assert 0.5 * (high + low) == pytest.approx(fit.values["R"], abs=0.1 * half)
+
+
+def test_a_profile_of_a_predictor_that_has_another_optimum_is_refused():
+    fit = ce.estimate(body(), warmed(1004), noise=ce.Noise(y="innovations"), progress=False)
+    one = fit.estimates["R"]
+    moved = dataclasses.replace(one, value=one.value + one.stderr)
+    other = dataclasses.replace(fit, estimates={**fit.estimates, "R": moved})
+    with pytest.raises(EstimationError, match=r"(?s)has another optimum.*R elsewhere.*ce\.posterior"):
+        ce.profile(other, "R", points=3)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from casadi_engine.errors import ConstraintError
+from casadi_engine.errors import ConstraintError, ParameterError
 from casadi_engine.parameters import Parameters, compile
 
 
@@ -142,3 +142,20 @@ def test_the_verdict_is_that_of_a_linear_program(rows):
             compile(pars, "ab")
     else:
         compile(pars, "ab")
+
+
+@pytest.mark.parametrize(("mean", "out"), [(5.4, False), (5.6, True), (-0.4, False), (-0.6, True)])
+def test_a_prior_that_lies_outside_the_bounds_is_refused(refused, mean, out):
+    pars = boxed(0.0, 5.0, "a")
+    pars["a"].set(prior=(mean, 0.1))
+    if not out:
+        compile(pars, ("a",), ("r",))
+        return
+    with refused(
+        ParameterError,
+        "the prior of a lies outside its bounds",
+        seen=f"{mean:g} ± 0.1, where bounds leave 0 to 5",
+        allowed="within 5 of its standard deviations",
+        cure="widen the bounds, or correct the prior",
+    ):
+        compile(pars, ("a",), ("r",))

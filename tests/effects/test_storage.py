@@ -1,0 +1,113 @@
+"""Storages that a model does not have: their laws against closed forms, and found in data of SciPy."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+from casadi_engine.effects import HiddenStorage, Relaxation, candidates
+from casadi_engine.effects.sensor import time_constants
+
+
+def heated():
+    """A heated body: its capacity and its loss are not known."""
+    b = ce.Blueprint("heater")
+    capacity = b.parameter("C", 1500.0, unit="J/K", min=10.0, max=1e5)
+    loss = b.parameter("G", 6.0, unit="W/K", min=0.1, max=100.0)
+    above, power = b.state("T", unit="K"), b.input("P", unit="W")
+    body = b.port("body", "inertia", {"speed": above}, unit="W")
+    b.ode("T", (power - loss * above + body) / capacity)
+    b.output("y", above, unit="K")
+    return b.model()
+
+
+def sprung():
+    b = ce.Blueprint("mount")
+    k = b.parameter("k", 50.0, unit="N/m")
+    place, speed, force = b.state("x", unit="m"), b.state("v", unit="m/s"), b.input("F", unit="N")
+    body = b.port("body", "inertia", {"speed": speed}, unit="N")
+    rubber = b.port("rubber", "coupling", {"twist": place, "twist_rate": speed, "stiffness": k}, unit="N")
+    b.ode("x", speed)
+    b.ode("v", force + body - k * place - rubber)
+    b.output("y", place, unit="m")
+    return b.model()
+
+
+def heating(seed, name, wall=0.0):
+    """By SciPy: 2000 J/K, 5 W/K, and behind it a wall of 40 s at ``wall`` W/K."""
+    rng = np.random.default_rng(seed)
+    time = np.linspace(0, 600, 301)
+    power = 200.0 * (np.sin(time / 60 + seed) + np.sin(time / 17 + 2 * seed) + 2.0)
+
+    def ode(t, x):
+        passed = wall * (x[0] - x[1])
+        return [(np.interp(t, time, power) - 5 * x[0] - passed) / 2000, (x[0] - x[1]) / 40]
+
+    found = solve_ivp(ode, (0, 600), [30.0, 30.0], t_eval=time, rtol=1e-9, atol=1e-9, max_step=2.0).y[0]
+    units = {"P": "W", "y": "K"}
+    y = found + 0.2 * rng.standard_normal(len(time))
+    return ce.Experiment.from_arrays(name, time=time, units=units, P=power, y=y)
+
+
+@pytest.mark.parametrize(
+    ("model", "port", "effect", "size", "state"),
+    [
+        (heated(), "body", HiddenStorage(), "body.hidden_storage.conductance", "T"),
+        (sprung(), "rubber", Relaxation(), "rubber.relaxation.stiffness", "x"),
+    ],
+)
+def test_it_acts_by_what_it_is_behind_and_follows_with_its_time_constant(model, port, effect, size, state):
+    wider = model.with_effect(effect, at=port)
+    values = {size: 3.0, size.rpartition(".")[0] + ".time": 4.0}
+    rates = ca.Function("rates", [wider.x, wider.u, wider.t, wider.p], [wider.closed_ode])
+    names = [one.name for one in wider.states]
+    x = np.zeros(len(names))
+    x[names.index(state)], x[-1] = 2.0, 0.5
+    with_it, without = (
+        rates(x, 0.0, 0.0, wider.parameter_vector({**values, size: amplitude})).full().ravel()
+        for amplitude in (3.0, 0.0)
+    )
+    assert with_it[-1] == pytest.approx((2.0 - 0.5) / 4.0)
+    acted = (with_it - without)[:-1]
+    inertia = wider.parameters()["C"].value if state == "T" else 1.0
+    assert acted[np.argmax(np.abs(acted))] == pytest.approx(-3.0 * 1.5 / inertia)
+
+
+def test_a_shaft_or_a_mass_has_none():
+    data = ce.Experiment.from_arrays(
+        "run", time=np.arange(40) * 0.1, units={"F": "N", "y": "m"}, F=np.ones(40), y=np.ones(40)
+    )
+    skipped = []
+    found = candidates(sprung(), [HiddenStorage(), Relaxation()], data, skipped=skipped)
+    assert {one.effect.name for one in found} == {"relaxation"}
+    assert [(one.effect, one.at) for one in skipped] == [("hidden_storage", "body")]
+    assert "no shaft or mass has a storage" in skipped[0].why
+
+
+def test_it_may_be_as_slow_as_the_records_are_long():
+    time = np.arange(101) * 0.5
+    assert time_constants(time) == pytest.approx((0.25, 12.0), rel=0.1)
+    assert time_constants(time, most=1.0) == pytest.approx((0.25, 50.0))
+    data = heating(1, "data")
+    effect = HiddenStorage().fitted(ce.effects.port_view(heated(), "body"), data, {})
+    assert effect.span == pytest.approx((1.0, 600.0))
+
+
+def test_a_wall_is_found_and_named():
+    data, fresh = heating(1, "data", wall=8.0), heating(2, "fresh", wall=8.0)
+    found = ce.repair(heated(), data, fresh=fresh, starts=1, progress=False)
+    assert found.verdict == "named"
+    assert found.confirmed
+    (one,) = found.effects
+    assert (one.name, one.at) == ("hidden_storage", "body")
+    low, high = one.amplitude.interval
+    assert low < 8.0 < high
+    assert high - low < 6.0
+    low, high = found.fit.estimates["body.hidden_storage.time"].interval
+    assert low < 40.0 < high
+
+
+def test_no_wall_is_found_where_there_is_none():
+    found = ce.repair(heated(), heating(3, "data"), fresh=heating(4, "fresh"), starts=1, progress=False)
+    assert found.verdict == "nothing missing"
