@@ -11,6 +11,7 @@ from typing import Any
 
 from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy.answer_words import (
+    ahead,
     at_bounds,
     elsewhere,
     open_units,
@@ -154,6 +155,8 @@ class Answer:
         pool = {key: one.arrived.values for key, one in self.search.pool.items()}
         self.messages += told_by_member(found, key_of(last.effects), pool, last.fit)
         self._say(null, last, proof)
+        if claim.unknown is not None:  # which is said in its own place
+            self.messages[:] = [words for words in self.messages if words != claim.unknown.sentence]
         blank = Repair(
             "answered",
             verdict,
@@ -197,6 +200,8 @@ class Answer:
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:
                 unknown = behind_a_sensor(null, way[1])
+        if not found and cut and (words := so_far(self.search)):
+            unknown = Unknown(words[0], {} if unknown is None else unknown.tests)
         claim = Claim(proof, last, found, withdrawn, unknown)
         sure = proof.judgement is not None and bool(proof.judgement.confirmed)
         doubt = reason_to_withdraw(claim, null, sure, cut=cut) if found else None
@@ -262,6 +267,8 @@ class Answer:
                 and (rival is None or law is None or again.log > law.log)
             ):
                 law, rival = again, said
+        if not found and law is not None and ahead(self.search) > law.log:
+            return claim  # what was refitted says more than what a function does along the motion without it
         if rival is None or law is None:
             return claim.withdrawn_for(claim.unknown, null, BEHIND_LAW) if told and law is None else claim
         if not found and unknown is None and law.log < -math.log(self._rare):  # by their odds alone

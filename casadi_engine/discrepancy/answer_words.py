@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.exchange import leaves_more
 from casadi_engine.discrepancy.families import BEYOND
-from casadi_engine.discrepancy.repaired import MORE_THAN_NOISE, UNTOLD
+from casadi_engine.discrepancy.refits import Tried
+from casadi_engine.discrepancy.repaired import MORE_THAN_NOISE, SO_FAR, UNTOLD
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.standard_errors import UNDETERMINED
@@ -16,8 +18,23 @@ from casadi_engine.model import Model
 
 def so_far(search: Choice) -> list[str]:
     """What the refits point at, where the time was up before the best of them was fitted to its end."""
-    if TIME_UP not in search.failed.values():
+    top, now = _top_so_far(search), search.pool[search.best]
+    if top is None:
         return []
+    gone = f"chi-squared {top.evidence.cost:.4g} in place of {now.evidence.cost:.4g}"
+    return [f"{SO_FAR} {top.name} ({gone}), which was not fitted to its end"]
+
+
+def ahead(search: Choice) -> float:
+    """The log odds of that beside the structure that was fitted to its end; -inf without one."""
+    top = _top_so_far(search)
+    return -math.inf if top is None else top.counted - search.pool[search.best].log
+
+
+def _top_so_far(search: Choice) -> Tried | None:
+    """The most probable structure, where the time was up before its whole fit."""
+    if TIME_UP not in search.failed.values():
+        return None
     now = search.pool[search.best]
     ready = [
         one for one in search.pool.values()
@@ -25,10 +42,7 @@ def so_far(search: Choice) -> list[str]:
         and (not one.failed or search.failed.get(one.label) == TIME_UP)
     ]  # fmt: skip
     top = max(ready, key=lambda one: one.counted, default=now)
-    if top is now:
-        return []
-    gone = f"chi-squared {top.evidence.cost:.4g} in place of {now.evidence.cost:.4g}"
-    return [f"the most probable so far is {top.name} ({gone}), which was not fitted to its end"]
+    return None if top is now else top
 
 
 def untold(search: Choice) -> str:

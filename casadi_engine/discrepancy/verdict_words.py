@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from casadi_engine.discrepancy.checked_errors import is_of_rounding
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh_misfit import FRESH, HALF, fresh_doubt, fresh_misfit, how_far, is_louder
-from casadi_engine.discrepancy.repaired import UNCONFIRMED, UNTOLD, in_its_place
+from casadi_engine.discrepancy.repaired import SO_FAR, UNCONFIRMED, UNTOLD, in_its_place
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
     BOUNDS,
@@ -57,6 +57,8 @@ def headline(repair: Repair) -> str:
             return f"no finding: {UNTOLD}"
         if _in_fresh_alone(repair):
             return "something is missing that the data of the search do not show: the fresh data do not fit"
+        if repair.unknown is not None and repair.unknown.sentence.startswith(SO_FAR):
+            return f"something is missing, and the search ended too early for a name: {repair.unknown.sentence}"
         unseen = blind and not names_own_law(repair)
         why = "no physical effect could be looked for" if unseen else "no effect of the library names it"
         unnamed = _law_alone(repair)

@@ -78,7 +78,7 @@ def lost(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> lis
 
 
 def unstable(errors: Uncertainty) -> list[Doubt]:
-    """A predictor at the limit of its stability: no noise has such a gain, and what the limit holds is not known by it."""
+    """A predictor at the limit of its stability: no noise has such a gain, and what the limit holds is not known."""
     if not any(name.startswith(STABLE) for name in errors.acting):
         return []
     text = (
