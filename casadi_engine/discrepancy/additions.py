@@ -14,8 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from casadi_engine.deadline import TimeUp, ask, late
-from casadi_engine.deadline import left as seconds_left
+from casadi_engine.deadline import Deadline, TimeUp, ask, late
 from casadi_engine.discrepancy.event_times import located
 from casadi_engine.discrepancy.exchanged_units import LATE
 from casadi_engine.discrepancy.families import chosen_of, costs_of, families_of
@@ -38,7 +37,6 @@ from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.unknown_law import depends_on, moving
-from casadi_engine.estimation.followed import lost
 
 # Why a refit was not tried.
 TIME_UP = "the time was up"
@@ -51,9 +49,9 @@ AGAIN = 3
 _NESTED, _SMALL = 1.0, 0.02
 # Log likelihood that a further effect has to promise to be refitted.
 _NOTHING = 1.0
-# Refits, and share of the time, after which functions of no name show the way, where nothing has come near the motion
-# until then: one step foretold these to come nearest. It foretells nothing where the fit follows next to nothing.
-_FIRST, _LOST = 3, 1 / 3
+# Seconds of refits from which functions of no name are asked to show the way, where nothing has come near the motion:
+# as long as the refits have taken, and again when these have taken as long again.
+_WORTH = 2.0
 
 Family = tuple[str, str]
 
@@ -89,13 +87,15 @@ class Additions:
         self.start: Start | None = Start(here.arrived.values, here.arrived.initial)
         order = left = self._ordered()
         best: Tried | None = None
-        begun, asked, led = time.perf_counter(), (1 - _LOST) * seconds_left(), False
-        first = 0 if lost(self.refits.null_fit) else _FIRST
+        begun, raced = time.perf_counter(), 0.0
         try:
             while left:
                 ask()
-                if not led and (len(self.done) >= first or seconds_left() < asked):
-                    left, led = self._led(left, best), True
+                spare = time.perf_counter() - begun - 2 * raced
+                if spare > _WORTH:
+                    clock = time.perf_counter()
+                    left, done = self._in_turn(left, best, spare)
+                    raced = math.inf if done else raced + time.perf_counter() - clock
                 key = left[0]
                 self.tell(f"refit {len(self.done) + 1} of {len(self.done) + len(left)}: {key[0]} at {key[1]}")
                 self.done.append(key)
@@ -165,6 +165,18 @@ class Additions:
         return sorted(
             order, key=lambda key: (cost[key] > most, first[key[0]] != key, len(effects[key].nuisance))
         )
+
+    def _in_turn(
+        self, rest: list[Family], best: Tried | None, seconds: float
+    ) -> tuple[list[Family], bool]:
+        """See ``_led``; and whether these seconds were enough for it."""
+        try:
+            with Deadline(seconds):
+                return self._led(rest, best), True
+        except TimeUp:
+            if late():
+                raise
+            return rest, False
 
     def _led(self, rest: list[Family], best: Tried | None) -> list[Family]:
         """Those of the rest behind the laws of the signals at the ports where a function serves best, where nothing

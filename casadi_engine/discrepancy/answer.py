@@ -200,8 +200,8 @@ class Answer:
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:
                 unknown = behind_a_sensor(null, way[1])
-        if not found and cut and (words := so_far(self.search)):
-            unknown = Unknown(words[0], {} if unknown is None else unknown.tests)
+        if not found and cut and ahead(self.search) > 0:
+            unknown = Unknown(so_far(self.search)[0], {} if unknown is None else unknown.tests)
         claim = Claim(proof, last, found, withdrawn, unknown)
         sure = proof.judgement is not None and bool(proof.judgement.confirmed)
         doubt = reason_to_withdraw(claim, null, sure, cut=cut) if found else None

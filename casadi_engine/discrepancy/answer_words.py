@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.exchange import leaves_more
 from casadi_engine.discrepancy.families import BEYOND
+from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.refits import Tried
 from casadi_engine.discrepancy.repaired import MORE_THAN_NOISE, SO_FAR, UNTOLD
 from casadi_engine.discrepancy.station import Station
@@ -26,9 +27,12 @@ def so_far(search: Choice) -> list[str]:
 
 
 def ahead(search: Choice) -> float:
-    """The log odds of that beside the structure that was fitted to its end; -inf without one."""
-    top = _top_so_far(search)
-    return -math.inf if top is None else top.counted - search.pool[search.best].log
+    """The log odds of that beside the structure that was fitted to its end; -inf without one, or where it closes no
+    part of the gap that a person would see."""
+    top, now = _top_so_far(search), search.pool[search.best]
+    if top is None or top.evidence.cost > (1 - SEEN) ** 2 * now.evidence.cost:
+        return -math.inf
+    return top.counted - now.log
 
 
 def _top_so_far(search: Choice) -> Tried | None:

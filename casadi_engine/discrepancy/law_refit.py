@@ -97,7 +97,7 @@ def _with_unused(refits: Refits, others: Sequence[Family]) -> list[Family]:
 
 def leading(refits: Refits) -> list[tuple[str, str]]:
     """Ports and signals of the functions that follow the motion over short windows, where the model without effects is
-    far from it, the best first. They are followed to the whole record at once, as an answer will need them."""
+    far from it, the best first. They are followed to the whole record until one arrives."""
     none = refits.pool[frozenset()]
     if not is_far(refits.path.residuals(none.effects, none.arrived)) or not tells(refits, none):
         return []
@@ -108,7 +108,9 @@ def leading(refits: Refits) -> list[tuple[str, str]]:
         return []
     most = min(_NEAR * begun[0].found.cost, chance(refits, none, count))
     for one in (*_distinct(begun, most), *_distinct(begun, most, elsewhere=True)):
-        followed(refits, one)
+        found = followed(refits, one)
+        if found is not None and not is_far(found.null):  # one that follows all of it is enough to go by
+            break
     return [one.at for one in begun if one.follows and one.found.cost <= most]
 
 

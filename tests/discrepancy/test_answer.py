@@ -208,6 +208,9 @@ def test_what_the_time_left_unfitted_is_told_where_it_is_far_more_probable():
     assert words.so_far(search) == [
         "the most probable so far is a play (chi-squared 800 in place of 3000), which was not fitted to its end"
     ]
+    assert words.ahead(search) == 80.0
+    pool["play"].evidence.cost = 2900.0  # of which a person would see nothing
+    assert words.ahead(search) == -np.inf
     search.failed = {"a play": "its fit of all data does not converge"}
     assert words.so_far(search) == []
     search.failed, pool["play"].counted = {"a play": TIME_UP}, -98.0

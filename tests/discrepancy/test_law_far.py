@@ -85,19 +85,31 @@ def test_one_step_in_the_place_of_a_function_tells_the_law_that_it_stands_for(be
     assert in_place_of_function(refits, [("tunnel", "nothing")], screened, families) is None
 
 
-def test_it_is_the_first_that_is_refitted(began, monkeypatch):
-    done = []
+def test_it_is_the_first_that_is_refitted_then(began):
+    made = additions.Additions(began.refits, began.here, began.station, {}, lambda words: None)
+    made.screened, made.families = began.station.screened, families_of(began.station.screened)
+    rest, done = made._in_turn(list(made.families), None, np.inf)
+    assert done
+    assert rest[0] == ("quadratic_drag", "tunnel")
+    assert made.left_out  # what comes nowhere near by that step
+    assert not set(rest) & set(made.left_out)
 
-    def first(self, one, start, *, near=False):
-        done.append(one.candidate.key)
+
+def test_functions_have_as_long_as_refits_have_taken(began, monkeypatch):
+    """Beside a model that is refitted in no time they took half a minute."""
+    made = additions.Additions(began.refits, began.here, began.station, {}, lambda words: None)
+    asked = []
+
+    def slow(self, rest, best):
+        asked.append(rest)
         raise additions.TimeUp
 
-    monkeypatch.setattr(additions.Additions, "_try", first)
-    monkeypatch.setattr(additions, "lost", lambda fit: {"data/y": 0.0})
-    made = additions.Additions(began.refits, began.here, began.station, {}, lambda words: None)
-    made.run()
-    assert done == [("quadratic_drag", "tunnel")]
-    assert made.left_out  # what comes nowhere near by that step
+    monkeypatch.setattr(additions.Additions, "_led", slow)
+    assert made._in_turn([("a", "b")], None, np.inf) == ([("a", "b")], False)
+    monkeypatch.setattr(additions, "late", lambda: True)
+    with pytest.raises(additions.TimeUp):
+        made._in_turn([("a", "b")], None, np.inf)
+    assert len(asked) == 2
 
 
 def test_inputs_that_act_on_nothing_are_asked_where_something_may_act():
