@@ -22,6 +22,14 @@ def nothing_left(search: Search, attempt: Attempt) -> bool:
     if attempt.solution.status != "converged" or attempt.pending or not attempt.run:
         return False
     search._weigh(attempt.sigma)
+    try:
+        return _nothing_left(search, attempt)
+    except FloatingPointError:  # it ended where the model has no numbers: the other starts may do better
+        return False
+
+
+def _nothing_left(search: Search, attempt: Attempt) -> bool:
+    """See ``nothing_left``; of an optimum that is simulated."""
     if own_noise(search, attempt):
         return False
     points = search.problem.at(attempt.solution.x).records

@@ -80,3 +80,17 @@ def test_a_repair_of_a_model_that_lacks_nothing_fits_it_once():
     )
     assert made.verdict == "nothing missing"
     assert starts(made.null_fit) == 1
+
+
+def test_a_start_that_ended_where_there_are_no_numbers_leaves_the_word_to_the_others(monkeypatch):
+    """A repair ended in a traceback there."""
+    attempt = SimpleNamespace(
+        solution=SimpleNamespace(status="converged"), pending=False, run=True, sigma=np.ones(1)
+    )
+    search = SimpleNamespace(_weigh=lambda sigma: None)
+
+    def lost(search, attempt):
+        raise FloatingPointError("the model's state is not finite here")
+
+    monkeypatch.setattr(module, "own_noise", lost)
+    assert module.nothing_left(search, attempt) is False
