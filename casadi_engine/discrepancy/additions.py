@@ -166,9 +166,7 @@ class Additions:
             order, key=lambda key: (cost[key] > most, first[key[0]] != key, len(effects[key].nuisance))
         )
 
-    def _in_turn(
-        self, rest: list[Family], best: Tried | None, seconds: float
-    ) -> tuple[list[Family], bool]:
+    def _in_turn(self, rest: list[Family], best: Tried | None, seconds: float) -> tuple[list[Family], bool]:
         """See ``_led``; and whether these seconds were enough for it."""
         try:
             with Deadline(seconds):

@@ -58,7 +58,9 @@ def headline(repair: Repair) -> str:
         if _in_fresh_alone(repair):
             return "something is missing that the data of the search do not show: the fresh data do not fit"
         if repair.unknown is not None and repair.unknown.sentence.startswith(SO_FAR):
-            return f"something is missing, and the search ended too early for a name: {repair.unknown.sentence}"
+            return (
+                f"something is missing, and the search ended too early for a name: {repair.unknown.sentence}"
+            )
         unseen = blind and not names_own_law(repair)
         why = "no physical effect could be looked for" if unseen else "no effect of the library names it"
         unnamed = _law_alone(repair)

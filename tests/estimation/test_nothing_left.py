@@ -1,10 +1,13 @@
 """Where the first start leaves white noise alone, no other start is made."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.estimation import nothing_left as module
 from casadi_engine.errors import EstimationError
 
 SIGMA = 0.02
