@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.estimation import nothing_left as module
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation import nothing_left as module
 
 SIGMA = 0.02
 
