@@ -249,7 +249,8 @@ class Answer:
         held = claim.nearest or last  # effects that leave too much are still nearer than none
         looked = bool(found) or sure or (unknown is None and coloured)
         law = self._law(held, near) if looked else None
-        rival = _said(claim, held, law)
+        far = bool(law and not held.effects and self._in_time("unknown law", lambda: self._is_far(held)))
+        rival = _said(claim, held, law, far=far)
         # near the truth the law that is linearised is told from the effects, if slopes tell; else it is refitted
         asked = rival is not None or bool(found and law is None) or (unknown is not None and not found)
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
@@ -264,7 +265,7 @@ class Answer:
                 said is not None
                 and again is not None
                 and not beside
-                and (rival is None or law is None or again.log > law.log)
+                and (rival is None or law is None or far or again.log > law.log)
             ):
                 law, rival = again, said
         if not found and law is not None and ahead(self.search) > law.log:
@@ -475,16 +476,18 @@ def _noise_of_place(last: Station) -> NoiseModel:
     return last.screened.choice.stated or last.screened.noise
 
 
-def _said(claim: Claim, held: Station, law: UnknownLaw | None, *, refitted: bool = False) -> Unknown | None:
+def _said(
+    claim: Claim, held: Station, law: UnknownLaw | None, *, refitted: bool = False, far: bool = False
+) -> Unknown | None:
     """What is said of a law that is held against a structure; None where that, or what is known of what is missing
-    beside it, says more. refitted : it stands in the equations, and makes lines of its own"""
+    beside it, says more. refitted : it stands in the equations, and makes lines of its own; far : as in_place_of"""
     if law is None or _comes_back(held, law):
         return None
     if not claim.found and not refitted and _has_a_line(held, law):
         return None
     if claim.nearest is not None and not claim.found and law.log < math.log(FACTOR):
         return None
-    return in_place_of(held, law)
+    return in_place_of(held, law, far=far)
 
 
 def _comes_back(last: Station, law: UnknownLaw) -> bool:

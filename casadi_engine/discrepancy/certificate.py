@@ -22,6 +22,7 @@ from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.random_families import PLACE, TIME, Course, Family
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.repaired import (
+    FAR_OFF,
     ClassMatrix,
     Equation,
     FoundEffect,
@@ -252,9 +253,9 @@ def _swings_at(screened: Screened, name: str, output: str, frequency: float) -> 
     return float(np.sum(left**2)) <= (1 - _SWINGS) * float(spread @ spread)
 
 
-def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
+def in_place_of(last: Station, law: UnknownLaw, *, far: bool = False) -> Unknown | None:
     """What is said of a law that no effect names in the place of the effects found, or of none, where these do not
-    exclude it."""
+    exclude it. far : it is seen along a simulation that is far from the motion"""
     if law.log < (-1 if last.effects else 1) * math.log(FACTOR) and not law.is_curve:
         return None
     family, odds = law.course.family, math.exp(min(law.log, _SAID))
@@ -269,6 +270,7 @@ def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
     if not names:
         rest = "noise of that colour" if last.screened.noise.colour else "noise alone"
         words += f"{likeness_words(law.course)}{others}: {much} more probable than {rest}"
+        words += f", but by a simulation that is far from the motion: {FAR_OFF}" if far else ""
     elif law.is_curve and odds < 1:
         words += f", in the place of {names}, explains no less: fewer numbers alone speak for these"
     elif odds < FACTOR:

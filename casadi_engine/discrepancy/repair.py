@@ -69,6 +69,9 @@ _STARTS, _MOST = 4, 4
 # where it is. Seconds that the first of these may take in any case.
 _NULL, _AT_LEAST = 0.3, 5.0
 _SHARE_OVER = "not converged: its share of the time budget was over"
+_UNCHECKED = (
+    "the errors of the fit without effects were not checked, as its share of the time budget was over"
+)
 # Work that a fit without its bounds may cost, in multiples of that of one start of the fit without effects.
 _AGAIN = 2.0
 # Behind a budget or a Ctrl-C an answer is made of what was found, within this share of the budget or so many seconds;
@@ -398,7 +401,8 @@ class _Job:
                     )
                     fit = again if again.converged else fit
         if fit.status == "interrupted" and own.over and not late() and math.isfinite(fit.cost):
-            fit = replace(fit, status=_SHARE_OVER)  # it goes on as refits do, which begin in short windows
+            # else it goes on as refits do, which begin in short windows
+            fit = self._at_its_end(fit, options) or replace(fit, status=_SHARE_OVER)
         pieces = None if self.cut else in_pieces(self.portion, fit)
         if pieces is not None:
             self.cut = (cut_words(fit),)
@@ -422,6 +426,23 @@ class _Job:
         pars = with_widths(pars, widths_of(fit, pars))
         self.timing["null fit"] = time.perf_counter() - self.begun
         return fit, pars, work
+
+    def _at_its_end(self, fit: Fit, options: dict[str, Any]) -> Fit | None:
+        """The fit of the best start, where the time was up in another one; None where that had not converged."""
+        best = min(fit.optima, key=lambda one: one.cost, default=None)
+        if best is None or best.status != "converged":
+            return None
+        with suppress(TimeUp, CasadiEngineError), Deadline(_NULL / 3 * self.deadline.left):
+            again = estimate(
+                self.model,
+                self.portion.data,
+                parameters=self.parameters,
+                warm=fit,
+                errors="quadratic",
+                **options,
+            )
+            return replace(again, messages=(*again.messages, _UNCHECKED)) if again.converged else None
+        return None
 
     @property
     def patient(self) -> bool:

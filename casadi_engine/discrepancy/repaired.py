@@ -31,6 +31,8 @@ BEHIND_OTHERS = "far less probable than what could not be fitted to its end"
 
 # What an answer says that was made before it was looked for anything.
 UNTOLD = "the time was up before it could be told whether anything is missing"
+# What is said of a law that is seen along a simulation far from the motion.
+FAR_OFF = "where it acts is not certain"
 # How the word on what came nearest begins, where the time was up before its fit.
 SO_FAR = "the most probable so far is"
 MORE_THAN_NOISE = (

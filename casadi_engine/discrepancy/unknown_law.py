@@ -64,6 +64,8 @@ _WORSE = 5
 # Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
 # real machine is never all that depends on its speed.
 _NEAR = 0.8
+# Numbers of shape of a law that is a law of its own.
+_SHAPES = 1
 # The same of what is no law of the motion at that port: a constant is the mean of any law, an event bends in time to
 # one that is not there all the time, effects elsewhere are another explanation. They stay where they leave no more of
 # the gap (rmse) than a person would see; or twice as much, where fresh data confirm them and show as much: of other
@@ -130,7 +132,8 @@ def near_of(tried: Tried, port: str) -> float:
     """Share of what a function at a port does that effects have to explain to stay the answer."""
     # a wrong value is the mean of what a parameter is that changes
     laws = [one for one in tried.effects if one.is_law and not port.startswith("parameter_")]
-    there = any(one.candidate.port == port for one in laws)
+    # one with several numbers of shape, as an overflow, bends to any curve and is to explain it all
+    there = any(one.candidate.port == port and len(one.nuisance) <= _SHAPES for one in laws)
     return _NEAR if there else _NEAR_OF_OTHERS
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from casadi_engine.discrepancy.checked_errors import is_of_rounding
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh_misfit import FRESH, HALF, fresh_doubt, fresh_misfit, how_far, is_louder
-from casadi_engine.discrepancy.repaired import SO_FAR, UNCONFIRMED, UNTOLD, in_its_place
+from casadi_engine.discrepancy.repaired import FAR_OFF, SO_FAR, UNCONFIRMED, UNTOLD, in_its_place
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
     BOUNDS,
@@ -106,7 +106,8 @@ def _law_alone(repair: Repair) -> str:
     unknown = repair.unknown
     if unknown is None or unknown.course is None or unknown.odds is None or unknown.odds < FACTOR:
         return ""
-    return f": {re.split(_ODDS, unknown.sentence)[0]}"
+    doubt = f", but {FAR_OFF}" if unknown.sentence.endswith(FAR_OFF) else ""
+    return f": {re.split(_ODDS, unknown.sentence)[0]}{doubt}"
 
 
 def _by_chance(repair: Repair) -> str:

@@ -240,9 +240,21 @@ def test_constants_events_and_effects_elsewhere_have_to_come_nearer_to_what_a_la
 ):
     """The mean of a damper that differs by direction is a constant force on the body: no name for the damper. What
     leaves a tenth of the gap (rmse), which is a hundredth of chi-squared, leaves what a person sees."""
-    effect = SimpleNamespace(is_law=law, candidate=SimpleNamespace(port=at))
+    effect = SimpleNamespace(is_law=law, candidate=SimpleNamespace(port=at), nuisance={})
     near = near_of(SimpleNamespace(effects=(effect,)), "shaft")
     assert UnknownLaw(None, 9.0, share, False, near).excludes is excluded
+
+
+def test_a_law_that_bends_to_any_curve_has_to_explain_it_all():
+    """An overflow, with an edge and a share, came near to a needle in which a liquid thins, and was "confirmed"."""
+    at = SimpleNamespace(port="pipe")
+    effects = [
+        SimpleNamespace(is_law=True, candidate=at, nuisance=dict.fromkeys(names))
+        for names in ((), ("fading",), ("edge", "share"))
+    ]
+    near = [near_of(SimpleNamespace(effects=(one,)), "pipe") for one in effects]
+    assert near[0] == near[1] < near[2]
+    assert near[2] == near_of(SimpleNamespace(effects=()), "pipe")
 
 
 @pytest.mark.parametrize(

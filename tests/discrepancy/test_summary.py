@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.repaired import UNTOLD, Member, NextExperiment, Unknown
+from casadi_engine.discrepancy.repaired import SO_FAR, UNTOLD, Member, NextExperiment, Unknown
 from casadi_engine.discrepancy.summary import _told_by, noise_of_chi2
 from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.discrepancy.wording import in_unit, port_cure, twins
@@ -199,6 +199,9 @@ def test_a_search_that_was_none_claims_nothing(leaking):
         leaking, verdict="unnamed", effects=(), unknown=Unknown(UNTOLD, {}), stopped="the time budget"
     )
     assert headline(none) == f"no finding: {UNTOLD}"
+    near = f"{SO_FAR} drag at tank (chi-squared 9 in place of 3000), which was not fitted to its end"
+    said = headline(replace(none, unknown=Unknown(near, {})))
+    assert said == f"something is missing, and the search ended too early for a name: {near}"
     assert f"no finding: {UNTOLD}" in joined(none)
 
 

@@ -24,6 +24,7 @@ from casadi_engine.discrepancy.unknown_law import (
     imitators,
     not_told_from,
 )
+from casadi_engine.discrepancy.verdict_words import _law_alone
 
 
 def brake(speed):
@@ -177,6 +178,22 @@ def test_a_share_above_all_that_a_law_does_is_not_said(share, said):
     words = in_place_of(last, UnknownLaw(course, 9.5, share)).sentence
     assert words.endswith("the nearest of the library, which explains 90 % of what that does") is said
     assert ("explains" in words) is said
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_a_law_along_a_simulation_that_is_far_off_has_no_certain_place(far):
+    """Dry friction of a roller was "an unknown torque at motor", by the simulation without it."""
+    family = Family("engine", "speed", (0,), np.ones(1), 0.0, 1.0, np.ones(61))
+    course = SimpleNamespace(family=family, looks_like={})
+    noise = SimpleNamespace(colour={})
+    last = SimpleNamespace(
+        fit=SimpleNamespace(model=ce.one_inertia()), effects=(), screened=SimpleNamespace(noise=noise)
+    )
+    unknown = in_place_of(last, UnknownLaw(course, 9.5, 0.0), far=far)
+    assert unknown.sentence.endswith("where it acts is not certain") is far
+    found = SimpleNamespace(unknown=unknown)
+    said = ": an unknown torque at engine that depends on its speed"
+    assert _law_alone(found) == said + (", but where it acts is not certain" if far else "")
 
 
 def test_laws_that_the_data_do_not_tell_apart_are_named_together():
