@@ -51,8 +51,8 @@ class HiddenStorage(_Storage):
     """A storage that the model does not have, behind what is: −G (s − z) with dz/dt = (s − z)/τ.
 
     The heat that a wall, a jacket or an insulation takes up and gives back, the charge behind a resistance, a vessel
-    behind a narrow neck; s is the port's ``speed``. Its capacity is G τ. It is not looked for on a shaft or a mass, where a mass behind a damper
-    would do that.
+    behind a narrow neck; s is the port's ``speed``. Its capacity is G τ. It is not looked for on a shaft or a mass,
+    where a mass behind a damper would do that.
 
     >>> HiddenStorage().describe("water")
     'a storage behind water that takes up and gives back'

@@ -316,6 +316,7 @@ def test_a_law_that_explains_most_of_fresh_data_stays_beside_one_that_is_more_pr
     monkeypatch.setattr(Claim, "withdrawn_for", lambda *_: "withdrawn")
     own = stub(_law=lambda *_: law, _is_far=lambda _: False, _in_time=lambda _, work: work(), _rare=1e-3)
     own.portion = stub(fresh=())
+    claim.last.effects = ()
     own._imitators = lambda *_: 0
     found = answer.Answer._held_to_laws(own, claim, null)
     assert (found != "withdrawn") is kept
