@@ -18,6 +18,7 @@ import numpy as np
 from casadi_engine.deadline import TimeUp, lifted
 from casadi_engine.discrepancy.elsewhere_families import unused_everywhere, unused_inputs
 from casadi_engine.discrepancy.evidence import (
+    FACTOR,
     Digest,
     Levels,
     evidence,
@@ -35,6 +36,8 @@ from casadi_engine.experiment import Experiment
 
 # Those go on to the whole record whose chi-squared over short windows is within such a factor of the least.
 _NEAR = 2.0
+# Powers of the usual factor by which a function may be less probable for fresh data to be asked of it too.
+_WIDER = 3
 # So many of these at most, the best over short windows.
 _FOLLOWED = 4
 # A simulation that is off by this share of what an output varies by has slopes that are off as much: a law that is
@@ -77,6 +80,7 @@ def refitted_law(
     with lifted():  # what was refitted is an answer
         left = refits.path.residuals(tried.effects, tried.arrived)
         found = [one for one in each if one is not None and _takes_the_colour(left, one.null)]
+        found = _open(found)
     of_all = by_all_data(refits, found, fresh)
     with lifted():
         best = _most_probable(found, refits.pool[frozenset()], tried, of_all or found) if found else None
@@ -137,6 +141,16 @@ def is_far(null: NullModel) -> bool:
 def follows_by_function(refits: Refits) -> bool:
     """True if the model follows the whole records with some function: then it is no other start that it lacks."""
     return any(one is not None and not is_far(one.null) for one in Race.of(refits).whole.values())
+
+
+def _open(found: Sequence[Followed]) -> list[Followed]:
+    """The functions that other data may yet make the most probable one."""
+    if not found:
+        return []
+    levels = min(found, key=lambda one: one.left).levels
+    odds = [one.log(levels)[0] for one in found]
+    least = max(odds) - _WIDER * math.log(FACTOR)
+    return [one for one, own in zip(found, odds, strict=True) if own >= least]
 
 
 def _most_probable(

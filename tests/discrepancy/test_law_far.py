@@ -163,6 +163,18 @@ def test_fresh_data_tell_a_function_of_what_acts_from_one_of_time(began):
     assert law.port == "tunnel"
 
 
+def test_fresh_data_are_asked_of_functions_that_they_may_yet_prefer():
+    """Functions that the data of the search exclude for good cost as much again there."""
+
+    def followed(left, odds):
+        return stub(left=left, levels="levels", log=lambda levels: (odds, None))
+
+    best, near, far = followed(1.0, 0.0), followed(2.0, -8.9), followed(3.0, -9.1)
+    assert law_refit._open([far, best, near]) == [best, near]
+    assert law_refit._open([far]) == [far]
+    assert law_refit._open([]) == []
+
+
 def corner(name, port="p", shape=(), signal="v"):
     effect = stub(nuisance=dict.fromkeys(shape))
     candidate = stub(key=(name, port), port=port, source=stub(effect=effect), signal=signal)
