@@ -179,7 +179,7 @@ class Additions:
     def _led(self, rest: list[Family], best: Tried | None) -> list[Family]:
         """Those of the rest behind the laws of the signals at the ports where a function serves best, where nothing
         comes near the motion: along a simulation that is far from it one step tells nothing."""
-        if self.here.effects:
+        if self.here.effects or not rest:
             return rest
         if best is not None and not is_far(self.refits.path.residuals(best.effects, best.arrived)):
             return rest

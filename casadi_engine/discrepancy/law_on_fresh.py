@@ -16,6 +16,7 @@ import numpy as np
 from casadi_engine.deadline import TimeUp, ask
 from casadi_engine.discrepancy.law_race import Begun, Followed, Race, followed, short
 from casadi_engine.discrepancy.law_setups import Setup, setups_at, setups_elsewhere
+from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.random_families import TIME, Family
 from casadi_engine.discrepancy.refits import Refits
 from casadi_engine.experiment import Experiment, with_unique_names
@@ -37,7 +38,7 @@ def by_all_data(
             if again is None:
                 return None
             made.append(again)
-    except TimeUp:
+    except (TimeUp, *FAILURES):
         return None
     return made
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
-from casadi_engine.effects.sensor import SHORTEST, VARIES, SensorGain, SensorOffset, time_constants
+from casadi_engine.effects.sensor import SHORTEST, VARIES, SensorGain, SensorOffset, time_constants, time_grid
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,7 @@ class _Behind(Effect):
     @property
     def nuisance(self) -> Mapping[str, Grid]:  # type: ignore[override]
         """The time."""
-        low, high = self.span or (1e-3, 1e3)
-        return {"time": Grid(low, high, steps=6, unit="s", log=True, description=self.time)}
+        return time_grid(self.span, self.time)
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The same at rest where a record begins, with the times that it can show where none were given."""

@@ -30,6 +30,12 @@ def time_constants(
     return (low, high) if low < high else None
 
 
+def time_grid(span: tuple[float, float] | None, description: str = "time constant") -> Mapping[str, Grid]:
+    """The grid of a time [s] over a span; a wide one where none is known."""
+    low, high = span or (1e-3, 1e3)
+    return {"time": Grid(low, high, steps=6, unit="s", log=True, description=description)}
+
+
 @dataclass(frozen=True)
 class SensorOffset(Effect):
     """A sensor whose zero is off, y + offset (in the output's unit)."""
@@ -94,8 +100,7 @@ class SensorLag(Effect):
     @property
     def nuisance(self) -> Mapping[str, Grid]:  # type: ignore[override]
         """The time constant."""
-        low, high = self.span or (1e-3, 1e3)
-        return {"time": Grid(low, high, steps=6, unit="s", log=True, description="time constant")}
+        return time_grid(self.span)
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The same with the time constants that a record can show, where none were given."""

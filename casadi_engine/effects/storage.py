@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
-from casadi_engine.effects.sensor import time_constants
+from casadi_engine.effects.sensor import time_constants, time_grid
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,7 @@ class _Storage(Effect):
     @property
     def nuisance(self) -> Mapping[str, Grid]:  # type: ignore[override]
         """The time constant."""
-        low, high = self.span or (1e-3, 1e3)
-        return {"time": Grid(low, high, steps=6, unit="s", log=True, description="time constant")}
+        return time_grid(self.span)
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The same at rest where the records begin, with the time constants that they can show."""

@@ -68,6 +68,8 @@ def check_priors(
     value, slope = (part.full() for part in function(np.zeros(z.numel())))
     for one, at, own in zip(affine, value.ravel(), slope, strict=True):
         used = own != 0  # 0 * inf is nan
+        if not used.any():  # it hangs on what is fixed, as in a profile: a number that is added
+            continue
         ends = np.stack((own[used] * lower[used], own[used] * upper[used]))
         least, most = at + ends.min(axis=0).sum(), at + ends.max(axis=0).sum()
         if max(least - one.mean, one.mean - most) > OUTSIDE * one.sigma:

@@ -95,6 +95,12 @@ def test_it_is_the_first_that_is_refitted_then(began):
     assert not set(rest) & set(made.left_out)
 
 
+def test_nothing_leads_where_nothing_is_left_to_refit(began):
+    made = additions.Additions(began.refits, began.here, began.station, {}, lambda words: None)
+    made.screened, made.families = began.station.screened, families_of(began.station.screened)
+    assert made._in_turn([], None, np.inf) == ([], True)
+
+
 def test_functions_have_as_long_as_refits_have_taken(began, monkeypatch):
     """Beside a model that is refitted in no time they took half a minute."""
     made = additions.Additions(began.refits, began.here, began.station, {}, lambda words: None)

@@ -159,3 +159,12 @@ def test_a_prior_that_lies_outside_the_bounds_is_refused(refused, mean, out):
         cure="widen the bounds, or correct the prior",
     ):
         compile(pars, ("a",), ("r",))
+
+
+def test_a_prior_of_what_hangs_on_a_fixed_parameter_is_a_number_that_is_added():
+    """A profile holds a parameter where its prior does not have it, and what is tied to it goes along."""
+    pars = boxed(0.0, 5.0, "abc")
+    pars.tie("b", "2*a")
+    pars["b"].set(prior=(0.1, 0.01))
+    pars.fix("a", 1.0)
+    assert compile(pars, ("a", "b", "c"), ("r",)).free == ("c",)
