@@ -115,6 +115,16 @@ def fresh_doubt(repair: Repair) -> str | None:
     )
 
 
+def is_far_beyond(repair: Repair) -> bool:
+    """True where the fresh data are further off than any noise, though the search knows too few numbers to say that
+    this is not by chance."""
+    gaps = repair.gaps
+    if gaps is None or gaps.validation_after is None or (repair.noise is not None and repair.noise.scatter):
+        return False
+    own = max(gaps.estimation_after.gap.chi2_per_sample, 1.0)
+    return _in_all(repair)[2] > LOUDEST * own
+
+
 def _beyond(
     repair: Repair, found: float, own: float | None = None, outputs: int = 1, *, least: float = LARGER
 ) -> bool:

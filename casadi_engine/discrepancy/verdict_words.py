@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.checked_errors import is_of_rounding
 from casadi_engine.discrepancy.evidence import FACTOR
-from casadi_engine.discrepancy.fresh_misfit import FRESH, HALF, fresh_doubt, fresh_misfit, how_far, is_louder
+from casadi_engine.discrepancy.fresh_misfit import (
+    FRESH,
+    HALF,
+    fresh_doubt,
+    fresh_misfit,
+    how_far,
+    is_far_beyond,
+    is_louder,
+)
 from casadi_engine.discrepancy.repaired import FAR_OFF, SO_FAR, UNCONFIRMED, UNTOLD, in_its_place
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
@@ -183,6 +191,8 @@ def _on_fresh(repair: Repair) -> str:
     if fresh_doubt(repair) is not None:
         lead = ":" if repair.effects and not repair.confirmed else ", but"
         return f"{lead} fresh data agree only within the errors of its parameters: {found}"
+    if is_far_beyond(repair):
+        return f", but the model does not describe the fresh data, and these records are too short to say why: {found}"
     return ""
 
 
@@ -212,7 +222,7 @@ def next_step(repair: Repair) -> str:
     apart = fresh_misfit(repair) is not None and not is_louder(repair)
     if apart or _in_fresh_alone(repair) or _more_in_fresh(repair):
         return "look for what is missing in the fresh records: give them as data of the search"
-    if repair.verdict == "nothing missing" and fresh_doubt(repair) is not None:
+    if repair.verdict == "nothing missing" and (fresh_doubt(repair) is not None or is_far_beyond(repair)):
         return "record more before you use the model, or give the fresh records as data too: its parameters are vague"
     if repair.verdict == "nothing missing":
         if _by_chance(repair):

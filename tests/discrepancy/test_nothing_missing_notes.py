@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.verdict_words import headline, next_step
+from tests.effects.test_storage import heated, heating
 
 
 def swing(noise):
@@ -75,3 +76,21 @@ def test_a_first_fit_that_asks_for_one_more_step_is_given_it(monkeypatch):
     assert found.verdict == "nothing missing"
     assert asked[0] is None
     assert asked[1].status.startswith("not converged")
+
+
+def test_fresh_data_that_four_samples_cannot_describe_are_said():
+    """Four samples exclude nothing; that fresh data are far from what they say has to be in the headline."""
+    data, fresh = heating(1, "data", 8.0), heating(2, "fresh", 8.0)
+    power, warm = data["P"], data["y"]
+    short = ce.Experiment.from_arrays(
+        "data", time=warm.time[:4], units={"P": "W", "y": "K"}, P=power.values[:4], y=warm.values[:4]
+    )
+    found = ce.repair(heated(), short, fresh=fresh, effects=["coulomb_friction"], progress=False)
+    assert found.verdict == "nothing missing"
+    assert headline(found).startswith(
+        "nothing is missing that these data could show, but the model does not describe the fresh data, and these "
+        "records are too short to say why: chi2/N "
+    )
+    assert next_step(found).startswith(
+        "record more before you use the model, or give the fresh records as data"
+    )
