@@ -236,8 +236,9 @@ def _stacked(compressed: Compressed) -> tuple[Array, NDArray[np.str_], dict[str,
             names += [output] * len(own)
         first += starts
     rows = np.concatenate(stacked)
-    most = int(_SHARE * min(samples.values()))
     known, tested = n + wide, rows.shape[1] - 1 - n - wide
+    # of the samples that parameters leave: what candidates take beside these is no noise
+    most = int(_SHARE * min(*samples.values(), sum(samples.values()) - known))
     if tested > max(most, 0):
         free = without(basis(rows[:, :known]), rows[:, known:-1])
         order = linalg.qr(free / np.maximum(np.linalg.norm(free, axis=0), 1e-300), mode="r", pivoting=True)[1]
