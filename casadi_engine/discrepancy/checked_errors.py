@@ -179,5 +179,9 @@ def _doubts(estimates: Mapping[str, Estimate]) -> list[str]:
     if not doubted:
         return []
     open_ends = [name for name in doubted if estimates[name].interval is None]
-    call = f"; for {', '.join(open_ends)} call ce.posterior(repair.fit)" if open_ends else ""
+    call = (
+        f"; for {', '.join(open_ends)} call ce.profile(repair.fit), or ce.posterior(repair.fit)"
+        if open_ends
+        else ""
+    )
     return [f"no symmetric error describes {', '.join(doubted)}: the likelihood is not quadratic there{call}"]

@@ -58,9 +58,10 @@ Array = NDArray[np.float64]
 _DIRECTIONS, _FEWER = 3, 2
 # Nearest place to look from [standard errors].
 _NEAR = 0.2
-# Step at which the curvature is the surface's own: over a whole one a straight line leaves a valley that bends, which
-# noise does not make rugged, and what is seen falls with the step; where noise decides it is the same at any.
-_SHORT = 0.25
+# Longest step at which the curvature is the surface's own, and how often it is halved while what is seen falls by more
+# than a share: over a whole one a straight line leaves a valley that bends, which noise does not make rugged, and what
+# is seen falls with the step; where noise decides it is the same at any.
+_SHORT, _HALVED, _SAME = 0.25, 4, 0.1
 # Standard errors by which the integration may be off at such a place, and how often its steps are shortened.
 _FELT, _SHORTENED = 0.1, 4
 # Squared residuals that closing the gaps between shooting intervals may change, and how often they are closed.
@@ -133,7 +134,7 @@ def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
         text = f"{', '.join(doubt.text for doubt in own)}: no symmetric error"
         said.append(text if kind in ("bound", "uneven") else max(own, key=lambda doubt: doubt.size).text)
     if said and missing and all(doubt.profiles for doubt in doubts):
-        said[-1] += f"; for {', '.join(missing)} {CALL}"
+        said[-1] += f"; for {', '.join(missing)} call ce.profile(fit), or ce.posterior(fit)"
     return said
 
 
@@ -239,8 +240,7 @@ class _Around:
         high, other, away = self._seen(move, fars[1], forth)
         curvature = max(bent, other)
         if curvature > RUGGED:
-            near = max(fars[0], -_SHORT), min(fars[1], _SHORT)
-            curvature = min(curvature, self._own_curvature(move, near, printed=printed))
+            curvature = self._own_curvature(move, fars, curvature, printed=printed)
         return self._told(move, (low, high), curvature, np.maximum(off, away))
 
     def _without_value(self, move: Array) -> Doubt:
@@ -288,15 +288,19 @@ class _Around:
         there = self._simulated(move, far, printed=False)
         return 0.0 if there is None else max(self._seen(move, far, there)[0], 0.0)
 
-    def _own_curvature(self, move: Array, fars: tuple[float, float], *, printed: bool) -> float:
-        """The intrinsic curvature over steps so short that a straight line is the surface's own way."""
-        found = 0.0
-        for far in fars:
-            there = self._simulated(move, far, printed=printed)
-            if there is None:
-                return np.inf
-            found = max(found, self._seen(move, far, there)[1])
-        return found
+    def _own_curvature(self, move: Array, fars: tuple[float, float], seen: float, *, printed: bool) -> float:
+        """The intrinsic curvature over steps so short that a straight line is the surface's own way; ``seen`` over the
+        whole ones."""
+        least = seen
+        for k in range(_HALVED):
+            short, found = _SHORT / 2**k, 0.0
+            for far in (max(fars[0], -short), min(fars[1], short)):
+                there = self._simulated(move, far, printed=printed)
+                found = max(found, np.inf if there is None else self._seen(move, far, there)[1])
+            settled, least = found > (1 - _SAME) * least, min(found, least)
+            if settled or least <= FLAT:
+                break
+        return least
 
     def _told(self, move: Array, rises: tuple[float, float], curvature: float, bends: Array) -> list[Doubt]:
         """The doubts that follow from what is seen along a line; see ``_seen``."""
@@ -335,7 +339,7 @@ class _Around:
         """What is there so far along a line; None where the model has no value."""
         v, step = self._moved(move, far, printed=printed)
         try:
-            found = self._residuals(v, step)
+            found = self._residuals(v, step, min(1.0, abs(far) / FAR))
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
             return None
         rise = printed_cost(self.search, v, found) - self.cost
@@ -420,8 +424,8 @@ class _Around:
         share, curvature = efficiency(loss, r, self.search.lost), loss.curvature(r)
         return share, share / max(1.0 if curvature is None else float(np.mean(curvature)), 1e-9)
 
-    def _residuals(self, v: Array, step: Array) -> list[Array]:
-        """The weighted residual (K, M) of each record after a step (N,) to v."""
+    def _residuals(self, v: Array, step: Array, share: float) -> list[Array]:
+        """The weighted residual (K, M) of each record after a step (N,) to v, so short a share of a whole one."""
         search, at, found = self.search, self.search.problem.nv, []
         points = search.problem.at(self.best.solution.x).records
         for record, point, lay in zip(search.records, points, search.problem.layouts, strict=True):
@@ -434,7 +438,7 @@ class _Around:
                 start = lay.take(self.errors.x)[0] + own[-record.n :]
                 found.append(linear_residual(record, v, start, np.full(record.n, self._free)))
             else:
-                found.append(_followed(record, point, lay.take(self.best.solution.x), v, own))
+                found.append(_followed(record, point, lay.take(self.best.solution.x), v, own, share))
             at += record.n
         return found
 
@@ -452,11 +456,13 @@ class _Around:
         return found
 
 
-def _followed(record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, step: Array) -> Array:
+def _followed(
+    record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, step: Array, share: float
+) -> Array:
     """The weighted residual (K, M) after a step (nz + n,) of the active parameters and the first state.
 
     The intervals start where the slopes at the point foresee it, and run side by side; what then gapes is closed by
-    these slopes, again where that is much.
+    these slopes, again where that is much beside the squares that a curvature makes of so short a step.
     """
     nz, count, path = len(record.active), record.plan.m, point.path
     ends = np.broadcast_to(path.end_s, (count, record.n, record.n))
@@ -472,7 +478,7 @@ def _followed(record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, st
         for k in range(count - 1):
             closed[k + 1] = ends[k] @ closed[k] + gaps[k]
         felt = np.einsum("kma,ma->km", js, closed) * record.weight
-        if float(np.sum(felt**2)) < _CLOSED:
+        if float(np.sum(felt**2)) < _CLOSED * share**4:
             break
         at = at + closed
     return residual(record, outputs) + felt

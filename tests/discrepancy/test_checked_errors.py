@@ -72,7 +72,7 @@ def test_where_no_profile_tells_the_interval_it_says_what_to_call():
     found = checked(repaired(3.0, 2.0, truth=0.1), 3.0, 2.0)
     assert found.effects[0].amplitude.stderr is None
     assert found.effects[0].amplitude.interval is None
-    assert found.messages[1].endswith("for p call ce.posterior(repair.fit)")
+    assert found.messages[1].endswith("for p call ce.profile(repair.fit), or ce.posterior(repair.fit)")
 
 
 def test_an_error_that_holds_is_kept():

@@ -61,7 +61,9 @@ def test_where_intervals_take_long_none_is_made_and_the_posterior_is_named():
     )  # fmt: skip
     assert fit.doubted
     assert all(fit.estimates[name].why == "not symmetric (see note)" for name in fit.doubted)
-    assert fit.messages[0].endswith(f"; for {', '.join(fit.doubted)} call ce.posterior(fit)")
+    assert fit.messages[0].endswith(
+        f"; for {', '.join(fit.doubted)} call ce.profile(fit), or ce.posterior(fit)"
+    )
 
 
 def test_progress_shows_the_search_and_not_the_refits():
