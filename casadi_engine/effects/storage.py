@@ -25,6 +25,7 @@ class _Storage(Effect):
     first: float = 0.0
 
     signal: ClassVar[str] = ""
+    stored: ClassVar[bool] = False
 
     @property
     def nuisance(self) -> Mapping[str, Grid]:  # type: ignore[override]
@@ -34,15 +35,17 @@ class _Storage(Effect):
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The same at rest where the records begin, with the time constants that they can show."""
         del values
-        begun = [float(course[0]) for course in port.courses(self.signal) if np.isfinite(course[:1]).all()]
+        courses = port.courses(self.signal, stored=self.stored)
+        begun = [float(course[0]) for course in courses if np.isfinite(course[:1]).all()]
         longest = max((record[name].time for name in record.names), key=len)
         span = self.span or time_constants(longest, most=1.0)
         return replace(self, span=span, first=float(np.mean(begun)) if begun else self.first)
 
     def _behind(self, port: Any, p: Any) -> tuple[Any, dict[str, tuple[float, Any]]]:
         """s − z, and the state z."""
-        stored, signal = port.state("stored"), getattr(port, self.signal)
-        return signal - stored, {"stored": (self.first, (signal - stored) / p.time)}
+        signal = port.stored(self.signal) if self.stored else getattr(port, self.signal)
+        behind = signal - port.state("stored")
+        return behind, {"stored": (self.first, behind / p.time)}
 
 
 @dataclass(frozen=True)
@@ -50,8 +53,9 @@ class HiddenStorage(_Storage):
     """A storage that the model does not have, behind what is: −G (s − z) with dz/dt = (s − z)/τ.
 
     The heat that a wall, a jacket or an insulation takes up and gives back, the charge behind a resistance, a vessel
-    behind a narrow neck; s is the port's ``speed``. Its capacity is G τ. It is not looked for on a shaft or a mass,
-    where a mass behind a damper would do that.
+    behind a narrow neck; s is what is stored at the port: its ``speed`` without what that is measured from, as a wall
+    follows the temperature of a body, not how far this is above an ambient that moves. Its capacity is G τ. It is not
+    looked for on a shaft or a mass, where a mass behind a damper would do that.
 
     >>> HiddenStorage().describe("water")
     'a storage behind water that takes up and gives back'
@@ -63,6 +67,7 @@ class HiddenStorage(_Storage):
     sentence = "a storage behind {port} that takes up and gives back"
     amplitude = Amplitude("conductance", unit="N m s/rad", min=0)
     signal = "speed"
+    stored = True
 
     def idle(self, port: Any) -> str:
         """At shafts and masses."""

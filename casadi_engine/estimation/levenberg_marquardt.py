@@ -9,7 +9,7 @@ residual is large against weak directions, Gauss-Newton alone takes many times t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +56,10 @@ class Minimum:
     converged: bool
 
 
+# Asks for points (n,), is sent what the problem is there, and ends with where it arrived.
+Steps = Generator[Array, Squares | None, Minimum | None]
+
+
 def minimise(
     evaluate: Evaluate,
     start: Array,
@@ -80,8 +84,45 @@ def minimise(
     anew : the problem at a point from which a step did not fall, where it is known there more exactly by now
     round_bends : go on along valleys that bend; not where a part of the data leads, whose valleys lead nowhere
     """
+    search = steps_of(
+        start, low, high, fall=fall, steps=steps, damping=damping, longest=longest, stop=stop, anew=anew,
+        round_bends=round_bends,
+    )  # fmt: skip
+    return driven([search], lambda points: [evaluate(one) for one in points])[0]
+
+
+def driven(
+    searches: Sequence[Steps], evaluate: Callable[[list[Array]], Sequence[Squares | None]]
+) -> list[Minimum | None]:
+    """Where searches end that go side by side: ``evaluate`` tells the problem at all points that they ask for."""
+    found: list[Minimum | None] = [None] * len(searches)
+    asked = {k: next(search) for k, search in enumerate(searches)}
+    while asked:
+        told, asked = dict(zip(asked, evaluate([*asked.values()]), strict=True)), {}
+        for k, there in told.items():
+            try:
+                asked[k] = searches[k].send(there)
+            except StopIteration as end:
+                found[k] = end.value
+    return found
+
+
+def steps_of(
+    start: Array,
+    low: Array,
+    high: Array,
+    *,
+    fall: float,
+    steps: int = 100,
+    damping: float = _DAMPING,
+    longest: Callable[[Array], Array] = np.ones_like,
+    stop: Callable[[float], bool] = lambda _: False,
+    anew: Callable[[Array], Squares | None] = lambda _: None,
+    round_bends: bool = True,
+) -> Steps:
+    """The search of ``minimise``, which asks for the problem at a point and is sent it."""
     x = np.clip(start, low, high)
-    here = evaluate(x)
+    here = yield x
     if here is None:
         return None
     learnt, trusted, reach, looked = np.zeros_like(here.matrix), False, 1.0, 0
@@ -96,12 +137,12 @@ def minimise(
             moved, foretold, short = _best_step(here, learnt if trusted else None, room, damping)
         if abs(foretold) < fall and not short:
             return Minimum(x, here, count, converged=True)
-        there = evaluate(x + moved) if foretold > 0 else None
+        there = (yield x + moved) if foretold > 0 else None
         gained = -np.inf if there is None else here.cost - there.cost
         if there is not None:
             learnt, trusted = _learn(learnt, here, there, moved)
             if round_bends and gained < _SHARE * foretold:
-                moved, there = _back_into_valley(evaluate, x, moved, there, (low, high, longest))
+                moved, there = yield from _back_into_valley(x, moved, there, (low, high, longest))
                 gained = here.cost - there.cost
         if there is None or gained < _SHARE * foretold:
             if (exact := anew(x)) is not None:  # a value that is too low would refuse every step
@@ -122,19 +163,15 @@ def minimise(
 
 
 def _back_into_valley(
-    evaluate: Evaluate,
-    x: Array,
-    moved: Array,
-    there: Squares,
-    limits: tuple[Array, Array, Callable[[Array], Array]],
-) -> tuple[Array, Squares]:
+    x: Array, moved: Array, there: Squares, limits: tuple[Array, Array, Callable[[Array], Array]]
+) -> Generator[Array, Squares | None, tuple[Array, Squares]]:
     """A step that did not fall, and one more from where it ends, so damped that it goes along what is told well alone:
     a valley that bends is left by a straight step, and found again by this (Chamberlain et al. 1982). The first step
     as it was where the second does not help."""
     low, high, longest = limits
     at = x + moved
     back, promised, _ = _best_step(there, None, (low - at, high - at, longest(at)), _STEEP)
-    again = evaluate(at + back) if promised > 0 else None
+    again = (yield at + back) if promised > 0 else None
     return (moved, there) if again is None or again.cost >= there.cost else (moved + back, again)
 
 

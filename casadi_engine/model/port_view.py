@@ -162,9 +162,32 @@ class PortView:
         found = ca.Function("response", known, [slope])(x, 0, 0, 0.0, p)
         return float(np.abs(np.array(found)).max())
 
-    def courses(self, signal: str) -> tuple[NDArray[np.float64], ...]:
-        """The signal along the simulation of each record, (N,) at its samples; empty where nothing was simulated."""
-        return () if self._courses is None else tuple(self._courses(getattr(self, signal)))
+    def courses(self, signal: str, *, stored: bool = False) -> tuple[NDArray[np.float64], ...]:
+        """The signal along the simulation of each record, (N,) at its samples; empty where nothing was simulated.
+
+        stored : as ``stored`` has it
+        """
+        expression = self.stored(signal) if stored else getattr(self, signal)
+        return () if self._courses is None else tuple(self._courses(expression))
+
+    def stored(self, signal: str) -> Any:
+        """What the storage in which the port's slot acts makes of a signal, up to a constant: of a temperature above an
+        ambient the temperature. The signal itself where its shares cannot be told apart."""
+        expression, model, slot = getattr(self, signal), self._model, self._port.slot
+        rows = [] if slot is None else ca.jacobian(model.ode, slot).row()
+        own = [model.x[k] for k in rows]
+        others = [model.x[k] for k in range(model.x.numel()) if k not in rows]
+        others += [model.u, model.d, model.w, model.t]
+        if not own or not ca.depends_on(expression, ca.vertcat(*own)):
+            return expression
+        states = ca.vertcat(*own)
+        slope = ca.jacobian(expression, states)
+        if ca.depends_on(slope, ca.vertcat(*others)):
+            return expression
+        if not ca.depends_on(slope, states):
+            return ca.mtimes(slope, states)
+        scales = [model.states[k].scale for k in rows]
+        return expression - ca.substitute(expression, states, ca.DM(scales))
 
     def typical(self, signal: str) -> float:
         """Typical magnitude of a signal, from the scales of the states or channels that it is made of.

@@ -152,6 +152,7 @@ class LaplaceLikelihood:
         self.branches = [Branch(shots, first, v, held, states)]
         self._reach: list[Array] = []  # the information at each branch, where there are several
         self._last = self.branches[0].best  # where the model was looked at last
+        self._top = -np.inf  # the largest log likelihood that was met
 
     def leads_to(self, first: Mapping[str, Array], v: Array, sigma: Array) -> bool:
         """True if these initial states of another optimum, scaled, are met at its v (nv,), or none can be."""
@@ -251,7 +252,7 @@ class LaplaceLikelihood:
             many = ManyPoints(self._shots, self.branches[0].parts, _STEPS, _FALL)
             x = np.array([self.branches[0].begun(one) for one in v])
             levels = {name: np.full(len(v), self._level(sigma, name)) for name in self._outputs}
-            found = many.squares(x, levels, self._size)
+            found, self._top = many.squares(x, levels, self._size, self._top)
         return [self.squares(one, sigma) if own is None else own for one, own in zip(v, found, strict=True)]
 
     def squares(self, v: Array, sigma: Array) -> Squares | None:

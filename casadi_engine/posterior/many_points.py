@@ -21,6 +21,8 @@ Parts = Sequence[tuple[Index, StatePrior]]
 _ROOM = 4_000_000
 # Change of a coordinate by which its slopes are told, as a share of its size where that is more than 1.
 _STEP = 1e-5
+# Share of how far a point lies below the best one by which chi-squared may still fall there, where that will do.
+_ROUGH = 0.1
 
 
 class ManyPoints:
@@ -47,16 +49,23 @@ class ManyPoints:
             found[busy] = total
         return np.where(np.isfinite(found), found, np.nan)
 
-    def squares(self, x: Array, sigma: Mapping[str, Array], size: int) -> list[Squares | None]:
-        """Half the sums of squares, with slopes in the first ``size`` coordinates, the initial states at their best."""
+    def squares(
+        self, x: Array, sigma: Mapping[str, Array], size: int, top: float
+    ) -> tuple[list[Squares | None], float]:
+        """Half the sums of squares, with slopes in the first ``size`` coordinates, the initial states at their best,
+        and the largest log likelihood so far. Points far below it need not be known so well.
+
+        top : the largest one before
+        """
         places = np.concatenate([self._states, np.arange(size)])
         left, slopes = (
             np.full((len(x), self._shots.count), np.nan),
             np.zeros((len(x), len(places), self._shots.count)),
         )
-        for busy, _, rest, rows in self._settled(x, sigma, places):
+        for busy, total, rest, rows in self._settled(x, sigma, places, top):
             left[busy], slopes[busy] = rest, rows
-        return [self._squares(*one, size) for one in zip(left, slopes, strict=True)]
+            top = max(top, float(np.max(total, initial=-np.inf, where=np.isfinite(total))))
+        return [self._squares(*one, size) for one in zip(left, slopes, strict=True)], top
 
     def _squares(self, left: Array, slopes: Array, size: int) -> Squares | None:
         rows = np.concatenate([left[None], slopes[len(slopes) - size :]])
@@ -72,11 +81,11 @@ class ManyPoints:
         )
 
     def _settled(
-        self, x: Array, sigma: Mapping[str, Array], places: Index
+        self, x: Array, sigma: Mapping[str, Array], places: Index, top: float = np.inf
     ) -> Iterator[tuple[Index, Array, Array, Array]]:
         """Step by step, of the points that still move (P',): their numbers, log likelihoods, residuals (P', K) that a
         line leads to at the prior's mean of the initial states, and slopes (P', m, K) at the places (m,), which begin
-        with those of the initial states."""
+        with those of the initial states. top : a log likelihood below which chi-squared may be off by a share"""
         x, busy = x.copy(), np.arange(len(x))
         with np.errstate(all="ignore"):
             for _ in range(self._steps):
@@ -96,7 +105,8 @@ class ManyPoints:
                     fell += np.square(np.linalg.solve(own.factor, step.T)).sum(axis=0)
                     x[np.ix_(busy, where)] = best
                 yield busy, total, left, slopes
-                busy = busy[fell > self._fall]  # what is not finite is looked at by itself
+                below = np.maximum(top - total, 0.0) if np.isfinite(top) else np.zeros(len(total))
+                busy = busy[fell > self._fall + _ROUGH * below]  # what is not finite is looked at by itself
                 if not len(busy):
                     return
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.estimation.fit import Fit
-from casadi_engine.estimation.levenberg_marquardt import Minimum, minimise
+from casadi_engine.estimation.levenberg_marquardt import Minimum, driven, steps_of
 from casadi_engine.estimation.same_response import same_response
 from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.mixture import Mixture
@@ -99,15 +99,12 @@ def find_modes(
         return None
     starts, around = _starts(target, fit, inverse(first.matrix), random, wide)
     searches = _Searches(target)
-    for start in starts:
-        searches.one(start)
+    searches.several(starts)
     _exchanges(target, searches)
     known = np.array([one.fixed for one in next(iter(fit.initial.values())).values()], dtype=bool)
     begun = first_states(target.search, fit)
-    for at, _ in same_response(target.search, target.start[: target.nv], begun, known):
-        searches.one(at)
-    for start in met:
-        searches.one(start)
+    alike = [at for at, _ in same_response(target.search, target.start[: target.nv], begun, known)]
+    searches.several([*alike, *met])
     searches.until_idle(around)
     found = searches.found
     if wide and len(found) > 1:  # from the rivals, as from the fit's own
@@ -115,8 +112,7 @@ def find_modes(
         searches.until_idle([at for x, matrix, _ in rivals[:_AGAIN] for at in along(x, inverse(matrix))])
     best = sorted(found, key=lambda one: one[2])[: _AGAIN if wide else 1]
     paths = [valleys(target, x, matrix, _DIRECTIONS if wide else 1) for x, matrix, _ in best]
-    for start in (one for path in paths for one in path.onwards[:_AGAIN]):
-        searches.one(start)
+    searches.several([one for path in paths for one in path.onwards[:_AGAIN]])
     ends = [(x, matrix) for x, matrix, _ in found]
     at, information, height = _dense(target, ends)
     near = np.flatnonzero(height > height.max(initial=-np.inf) - _FAR)
@@ -146,11 +142,15 @@ class _Searches:
         """Whether a cost is near the best one's."""
         return cost < min(own for _, _, own in self.found) + _NEAR
 
-    def one(self, start: Array) -> bool:
-        """A search; whether it ends in a new optimum that is near the best."""
+    def several(self, starts: Sequence[Array]) -> list[bool]:
+        """Searches side by side; for each whether it ends in a new optimum that is near the best."""
+        low, high = self._low, self._high
+        begun = [steps_of(one, low, high, fall=_FALL, steps=_STEPS) for one in starts]
+        return [self._take(end) for end in driven(begun, self._target.steep_of)]
+
+    def _take(self, end: Minimum | None) -> bool:
         self.tried += 1
         low, high = self._low, self._high
-        end = minimise(self._target.steep, np.clip(start, low, high), low, high, fall=_FALL, steps=_STEPS)
         if end is None or not end.converged or not _definite(end.squares.matrix):
             return False
         x, more = self._target.met(end.x)
@@ -168,12 +168,12 @@ class _Searches:
         return self.near(end.squares.cost)
 
     def until_idle(self, starts: Sequence[Array]) -> None:
-        """One search after another, until they meet nothing new."""
-        idle = 0
-        for start in starts:
-            idle = 0 if self.one(start) else idle + 1
-            if idle == IDLE:
-                return
+        """Searches, until so many meet nothing new."""
+        idle, left = 0, [*starts]
+        while left and idle < IDLE:
+            now, left = left[: IDLE - idle], left[IDLE - idle :]
+            for new in self.several(now):
+                idle = 0 if new else idle + 1
 
 
 def _dense(target: Target, points: list[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
@@ -245,9 +245,9 @@ def _exchanges(target: Target, searches: _Searches) -> None:
     left, most = [target.start[: target.nv]], _EXPANDED
     while left and most:
         most -= 1
-        for start in _exchanged(target, left.pop(0)):
-            if searches.one(start):
-                left.append(searches.found[-1][0])
+        before = len(searches.found)
+        searches.several(_exchanged(target, left.pop(0)))
+        left += [at for at, _, cost in searches.found[before:] if searches.near(cost)]
 
 
 def _exchanged(target: Target, v: Array) -> list[Array]:

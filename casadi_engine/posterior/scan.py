@@ -15,6 +15,7 @@ from casadi_engine.posterior.modes import inverse
 from casadi_engine.posterior.target import Target
 
 Array = NDArray[np.float64]
+Place = tuple[float, Array]  # cost, point v (nv,)
 
 # Places that are looked at in all, for the parameters along which a coarse walk meets other dips; those of that, and at
 # least for a parameter; how far apart they are at least, in standard errors.
@@ -33,37 +34,54 @@ def dips(target: Target) -> list[Array]:
     centre = target.squares(target.start[: target.nv])
     if centre is None:
         return []
-    covariance = inverse(centre.matrix)
-    every, uneven = _along(target, centre, covariance, list(range(target.nv)), COARSE)
-    if uneven:
-        every += _along(target, centre, covariance, uneven, PLACES)[0]
+    lines = _coarse(target, centre, list(range(target.nv)))
+    uneven = [k for k, places in lines.items() if _of_line(target, k, places)]
+    finer = _finer(target, {k: lines[k] for k in uneven})
+    every = [one for k, places in (lines | finer).items() for one in _of_line(target, k, places)]
     lowest = min([centre.cost, *(cost for cost, _ in every)])
     every.sort(key=lambda one: one[0])
     return [at for cost, at in every[:_DIPS] if cost < lowest + _ABOVE]
 
 
-def _along(
-    target: Target, centre: Squares, covariance: Array, which: list[int], places: int
-) -> tuple[list[tuple[float, Array]], list[int]]:
-    """Dips (cost, point) along these parameters, at so many places in all, and the parameters that have any."""
-    found: list[tuple[float, Array]] = []
-    uneven = []
-    lines, sides = _lines(target, covariance, which, places), dict[int, tuple[_Walk, _Walk]]()
+def _of_line(target: Target, k: int, places: list[Place]) -> list[Place]:
+    """The dips of places along a parameter, but for the fit's own."""
+    costs, found = [cost for cost, _ in places], []
+    for j in range(1, len(costs) - 1):
+        ridge = min(max(costs[:j]), max(costs[j + 1 :]))
+        low = costs[j] <= min(costs[j - 1], costs[j + 1]) and costs[j] < ridge - _DEEP
+        if low and places[j][1][k] != target.start[k]:
+            found.append(places[j])
+    return found
+
+
+def _coarse(target: Target, centre: Squares, which: list[int]) -> dict[int, list[Place]]:
+    """Places along each of these parameters in the order of its values, from the fit's own to either side."""
+    covariance, here = inverse(centre.matrix), target.start[: target.nv]
+    lines, sides = _lines(target, covariance, which, COARSE), dict[int, tuple[_Walk, _Walk]]()
     for k, values in lines.items():
-        here = int(np.searchsorted(values, target.start[k]))
-        down, up = (_Walk(target, k, own, covariance) for own in (values[:here][::-1], values[here:]))
-        sides[k] = down, up
+        own, way = int(np.searchsorted(values, here[k])), covariance[:, k] / covariance[k, k]
+        sides[k] = _Walk(target, k, values[:own][::-1], here, way), _Walk(target, k, values[own:], here, way)
     _walked(target, [one for both in sides.values() for one in both])
-    for k, (down, up) in sides.items():
-        here = len(down.found)
-        walked = [*reversed(down.found), (centre.cost, target.start[: target.nv]), *up.found]
-        costs, own = [cost for cost, _ in walked], len(found)
-        for j in {*range(1, len(costs) - 1)} - {here}:
-            ridge = min(max(costs[:j]), max(costs[j + 1 :]))
-            if costs[j] <= min(costs[j - 1], costs[j + 1]) and costs[j] < ridge - _DEEP:
-                found.append(walked[j])
-        uneven += [k] if len(found) > own else []
-    return found, uneven
+    return {k: [*reversed(down.found), (centre.cost, here), *up.found] for k, (down, up) in sides.items()}
+
+
+def _finer(target: Target, lines: dict[int, list[Place]]) -> dict[int, list[Place]]:
+    """More places between those along these parameters: each gap is gone through by itself, all side by side, from its
+    place next to the fit's own."""
+    walks, still = list[tuple[int, int, bool, _Walk]](), np.zeros(target.nv)
+    for k, places in lines.items():
+        values = np.array([at[k] for _, at in places])
+        more = PLACES // len(lines) / max(len(values) - 1, 1)
+        for j in range(len(values) - 1):
+            up = values[j] >= target.start[k]
+            between = np.linspace(values[j], values[j + 1], max(int(more), 1) + 1)[1:-1]
+            begun = places[j if up else j + 1][1]
+            walks.append((k, j, up, _Walk(target, k, between if up else between[::-1], begun, still)))
+    _walked(target, [one for *_, one in walks])
+    found: dict[int, list[Place]] = {k: [] for k in lines}
+    for k, j, up, walk in walks:
+        found[k] += [lines[k][j], *(walk.found if up else reversed(walk.found))]
+    return {k: [*own, lines[k][-1]] for k, own in found.items()}
 
 
 def _lines(target: Target, covariance: Array, which: list[int], places: int) -> dict[int, Array]:
@@ -88,17 +106,18 @@ def _lines(target: Target, covariance: Array, which: list[int], places: int) -> 
 
 
 class _Walk:
-    """Places along a parameter, one after another from the fit's own; found : (cost, point) at those so far."""
+    """Values of a parameter, one after another from a point ``begun``; found : places at those so far.
 
-    def __init__(self, target: Target, k: int, values: Array, covariance: Array) -> None:
+    way : (nv,) what the others do beside the parameter there
+    """
+
+    def __init__(self, target: Target, k: int, values: Array, begun: Array, way: Array) -> None:
         self._k, self._values, self._target = k, values, target
         self._low, self._high = target.low[: target.nv], target.high[: target.nv]
         width = self._high - self._low
         self._width = np.where(np.isfinite(width), width, np.inf)
         self._others = np.arange(target.nv) != k
-        self._at, self.found = target.start[: target.nv].copy(), list[tuple[float, Array]]()
-        # of the others, where only the fit's own quadratic tells it
-        self._way = covariance[:, k] / covariance[k, k]
+        self._at, self._way, self.found = begun.copy(), way, list[Place]()
 
     def next(self) -> Array | None:
         """The point v (nv,) that is looked at next; None at the end."""

@@ -137,15 +137,34 @@ class StatePrior:
 
     def best(self, rows: Array, left: Array) -> Array:
         """The states (n,) of the least chi-squared for searches, the prior included; ``left`` (L,) with its mean."""
-        seen = self.factor.T @ rows
-        moved = np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, seen @ left)
+        axes, sizes, ways = _axes(self.factor.T @ rows)
+        moved = axes @ (_shrunk(sizes) * (ways @ left))
         return np.asarray(self.mean - self.factor @ moved)
 
     def without(self, rows: Array, flat: Array) -> Array:
         """What the states take in searches from the products flat @ flat.T of rows (m, L)."""
-        seen = self.factor.T @ rows
-        cross = seen @ flat.T
-        return np.asarray(cross.T @ np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, cross))
+        _, sizes, ways = _axes(self.factor.T @ rows)
+        seen = flat @ ways.T
+        return np.asarray((seen * (sizes * _shrunk(sizes))) @ seen.T)
+
+
+def _axes(seen: Array) -> tuple[Array, Array, Array]:
+    """Singular vectors and values of what states do to a residual, in units of their prior (n, L). The sum of the prior
+    and of their squares would lose the prior beside states that are seen 1e8 times better; numbers that are not finite
+    stay so."""
+    if np.isfinite(seen).all():
+        return np.linalg.svd(seen, full_matrices=False)
+    count = min(seen.shape)
+    return (
+        np.full((len(seen), count), np.nan),
+        np.full(count, np.nan),
+        np.full((count, seen.shape[1]), np.nan),
+    )
+
+
+def _shrunk(sizes: Array) -> Array:
+    """s / (1 + s^2) of singular values, of any size."""
+    return np.asarray(1.0 / (1.0 / np.maximum(sizes, 1e-150) + sizes))
 
 
 def state_prior(record: RecordTerm, v: Array, first: Array) -> StatePrior:

@@ -159,7 +159,13 @@ class Target:
 
     def steep(self, v: Array) -> Squares | None:
         """The same, but that it rises steeply where constraints are not met: a search of it ends at their limits."""
-        found = self.squares(v)
+        return self._steep(v, self.squares(v))
+
+    def steep_of(self, v: list[Array]) -> list[Squares | None]:
+        """The same at points v (nv,) that lie far apart, where that can be done at once."""
+        return [self._steep(*one) for one in zip(v, self.squares_of(np.array(v)), strict=True)]
+
+    def _steep(self, v: Array, found: Squares | None) -> Squares | None:
         beyond, slopes = self._beyond(v)
         if found is None or not len(beyond):
             return found

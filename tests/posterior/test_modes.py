@@ -20,7 +20,8 @@ class Wells:
         return Squares(float(50 * (v - place) @ (v - place) + self._higher * abs(place[0])), 100 * (v - place),
                        100 * np.eye(1))  # fmt: skip
 
-    steep = squares
+    def steep_of(self, points):
+        return [self.squares(v) for v in points]
 
     def met(self, v):
         return v, np.zeros((1, 1))
