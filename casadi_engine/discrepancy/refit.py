@@ -257,6 +257,8 @@ class Refitter:
                 continue
             if _determined(found) and not self._open_above(fit, effects, one):
                 continue
+            if found.stderr is None and self._told_beside(fit, effects, one):
+                continue
             best, least, share = fit, merit(fit) + _CONTENT, 2.0
             for _ in range(_HALVINGS):
                 held = self.parameters_of(fit.model, effects)
@@ -277,6 +279,19 @@ class Refitter:
             again = self._try(fit.model, pars, Start.of(best))
             fit = again if again is not None and again.converged and merit(again) <= least else fit
         return fit
+
+    def _told_beside(self, fit: Fit, effects: Sequence[Addition], one: Addition) -> bool:
+        """True for an amplitude that has no error because of what the data leave open without effects, a common factor
+        of all: it is told where one number of each such combination is known."""
+        left = () if self.base is None else self.base.undetermined
+        pars = self.parameters_of(fit.model, effects)
+        for direction in left:
+            known = {name: abs(w) for name, w in direction.weights.items() if name in fit.free and name in pars}
+            if known:
+                largest = max(known, key=lambda name: known[name])
+                pars.fix(largest, fit.values[largest])
+        again = self._try(fit.model, pars, Start.of(fit), most=_FEWER) if left else None
+        return again is not None and again.converged and _determined(again.estimates[one.amplitude])
 
     def _open_above(self, fit: Fit, effects: Sequence[Addition], one: Addition) -> bool:
         """True for a law that bends in its amplitude, of which twice as much explains the data as well: the error by
