@@ -286,7 +286,9 @@ class Refitter:
         left = () if self.base is None else self.base.undetermined
         pars = self.parameters_of(fit.model, effects)
         for direction in left:
-            known = {name: abs(w) for name, w in direction.weights.items() if name in fit.free and name in pars}
+            known = {
+                name: abs(w) for name, w in direction.weights.items() if name in fit.free and name in pars
+            }
             if known:
                 largest = max(known, key=lambda name: known[name])
                 pars.fix(largest, fit.values[largest])

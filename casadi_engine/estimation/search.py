@@ -19,6 +19,7 @@ from casadi_engine.estimation.integration import alike, shorten_steps
 from casadi_engine.estimation.ipopt import ONE_STEP, OUT_OF_ITERATIONS, WALL, Solution, Solver
 from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, in_full
+from casadi_engine.estimation.states_first import states_first
 from casadi_engine.estimation.unreachable import unreachable
 from casadi_engine.simulation.propagator import fineness_of
 
@@ -147,7 +148,7 @@ class Search(FirstPoints):
         if not np.isfinite(self._objective(x)) and self._in_places():
             self._first = None
             x = self._start(z, first=first)
-        x = self._checked(x, z)
+        x = states_first(self, self._checked(x, z))
         if not near:
             x, near = self._rounded(x, z)
         solution = self._solved(x, exact=near)
