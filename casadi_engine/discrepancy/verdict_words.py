@@ -26,6 +26,7 @@ from casadi_engine.discrepancy.wording import (
     UNRESOLVED,
     USER,
     is_blind,
+    is_early,
     is_untold,
     names_own_law,
     twins,
@@ -83,6 +84,8 @@ def headline(repair: Repair) -> str:
     doubt = f", or more probably {' or '.join(likely)}" if likely else ""
     if others:
         doubt += f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}"
+    if any(is_early(one) for one in repair.effects):
+        doubt += ", or a memory that the model lacks (no sensor is early)"
     law = in_its_place(repair.unknown, repair.effects)
     if repair.unknown and (law or repair.unknown.odds is not None):
         doubt += f", or {'rather ' if law else ''}a law that the library lacks"
@@ -170,7 +173,7 @@ def _named(repair: Repair) -> str:
         else:
             missing.append(name)
     verb = "is" if len(missing) == 1 else "are"
-    if any(is_untold(one) for one in repair.effects):
+    if any(is_untold(one) or is_early(one) for one in repair.effects):
         verb = "may be"
     return " and ".join([*([f"{' and '.join(missing)} {verb} missing"] if missing else []), *wrong])
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.repaired import BEHIND_OTHERS, FoundEffect, Nearest, Repair, Unknown
-from casadi_engine.discrepancy.wording import is_untold
+from casadi_engine.discrepancy.wording import EARLY, is_early, is_untold
 
 
 def withdrawn(repair: Repair, why: str, unknown: Unknown | None, *messages: str) -> Repair:
@@ -45,7 +45,15 @@ def held_to_rivals(repair: Repair) -> Repair:
 
 
 def held_to_sizes(repair: Repair) -> Repair:
-    """The repair, confirmed by no fresh data where it does not tell the size of what it names."""
+    """The repair, confirmed by no fresh data where it does not tell the size of what it names, or names a sensor that
+    would be early."""
+    early = [one.at.partition("_")[2] for one in repair.effects if is_early(one)]
+    if early and repair.confirmed:
+        words = (
+            f"the gap on fresh data is smaller with {' and '.join(early)} shown early, as no sensor does: that is no "
+            f"confirmation; {EARLY}"
+        )
+        return replace(repair, confirmed=None, messages=(words, *repair.messages))
     untold = [f"{one.name} at {one.at}" for one in repair.effects if is_untold(one)]
     if not untold or not repair.confirmed:
         return repair

@@ -31,8 +31,9 @@ UNRESOLVED = "the corners of the model's own laws are not resolved"
 # Names listed in a sentence; correlation beyond which two effects are one.
 LISTED, _TWINS = 6, 0.995
 # What a negative delay may be.
-_EARLY = (
-    "no sensor is early: clocks differ, or it shows a share of the rate too, as behind a series resistance"
+EARLY = (
+    "no sensor is early: clocks differ, it shows a share of the rate too, as behind a series resistance, or what acts "
+    "has a memory that the model lacks"
 )
 # A gain that is known to this share of itself, and is within so many errors of a ratio of units, tells which they are.
 _SURE, _WITHIN = 0.02, 3.0
@@ -245,7 +246,7 @@ def right_value(one: FoundEffect, repair: Repair) -> str:
     if port is not None and one.name in ("sensor_gain", "input_gain"):
         return _other_unit(one, repair.model)
     if one.name == "sensor_delay":
-        return _EARLY if is_early(one) else ""
+        return EARLY if is_early(one) else ""
     stated = None if port is None else repair.fit.estimates.get(port.parameter)
     if port is None or not port.parameter or stated is None:
         return ""

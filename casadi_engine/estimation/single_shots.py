@@ -189,23 +189,44 @@ class SingleShots:
             self._abreast = steps, made
         return len(self._abreast[1]) == len(steps)
 
-    def side_by_side(self, x: Array, sigma: Mapping[str, Array]) -> Array:
+    def side_by_side(
+        self, x: Array, sigma: Mapping[str, Array], moved: NDArray[np.intp] | None = None
+    ) -> Array:
         """Residuals (P, K) at points x (P, nx), where ``runs_side_by_side``, in the outputs' standard deviations (P,)
-        at each; NaN in those that have none."""
+        at each; NaN in those that have none.
+
+        moved : (Q,) entries of x that differ in each of Q parts of the points from the first part, -1 for itself: a
+        record in which an entry does not act is not simulated again for it
+        """
         found, at, nv = np.zeros((len(x), self.count)), len(self.free), len(self.free)
         for record, whole in zip(
             self._search.records, [] if self._abreast is None else self._abreast[1], strict=True
         ):
             own: Any = whole.propagator
-            y = side_by_side(own, x[:, :nv][:, record.active].T, x[:, at : at + record.n].T)
-            shown = whole.observation.observe(y)
+            acts = [*record.active, *range(at, at + record.n)]
+            which = self._acting(len(x), acts, moved)
+            some = x[which]
+            y = side_by_side(own, some[:, :nv][:, record.active].T, some[:, at : at + record.n].T)
+            shown = whole.observation.observe(y).reshape(len(some), -1)
+            if len(some) < len(x) and moved is not None:
+                alike = np.tile(np.arange(len(x) // len(moved)), len(moved))  # as the first part has them
+                alike[which] = np.arange(len(some))
+                shown = shown[alike]
             at += record.n
             for output, where in whole.observation.where.items():
                 here = where[whole.observation.valid.ravel()[where]]
                 rows = self.places[(record.experiment.name, output)]
                 measured = whole.observation.measured.ravel()[here]
-                found[:, rows] = (shown.reshape(len(x), -1)[:, here] - measured) / sigma[output][:, None]
+                found[:, rows] = (shown[:, here] - measured) / sigma[output][:, None]
         return found
+
+    @staticmethod
+    def _acting(count: int, acts: Sequence[int], moved: NDArray[np.intp] | None) -> NDArray[np.intp]:
+        """The numbers of the points at which a record differs from the first part of them, and of that part."""
+        if moved is None:
+            return np.arange(count)
+        own = (moved < 0) | np.isin(moved, acts)
+        return np.flatnonzero(np.repeat(own, count // len(moved)))
 
     def evaluate(self, x: Array) -> tuple[Array, Array]:
         """Residuals (K,), model less measured, and their slopes (K, nx), both in standard deviations.

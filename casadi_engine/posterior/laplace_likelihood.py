@@ -19,8 +19,8 @@ from casadi_engine.posterior.states import StatePrior
 
 Array = NDArray[np.float64]
 
-# Gauss-Newton steps in the initial states at a point, and the fall of chi-squared that ends them.
-_STEPS, _FALL = 5, 0.02
+# Gauss-Newton steps in the initial states at a point, the same at a look, and the fall of chi-squared that ends them.
+_STEPS, _ROUGH, _FALL = 5, 2, 0.02
 # Points from which on they run side by side; and the log likelihood by which they may differ from one by itself, as a
 # share of how far it lies below the best.
 _FEW, _ALIKE = 16, 1e-2
@@ -245,14 +245,16 @@ class LaplaceLikelihood:
         """The same: all samples are looked at anyway."""
         return self.value(v, sigma)
 
-    def squares_of(self, v: Array, sigma: Array) -> list[Squares | None]:
-        """See ``squares``, at points v (P, nv) that lie far apart."""
+    def squares_of(self, v: Array, sigma: Array, *, roughly: bool = False) -> list[Squares | None]:
+        """See ``squares``, at points v (P, nv) that lie far apart; roughly : with few steps in the initial states."""
         found: list[Squares | None] = [None] * len(v)
         if len(v) > 1 and len(self.branches) == 1 and self._shots.runs_side_by_side(self.branches[0].best):
-            many = ManyPoints(self._shots, self.branches[0].parts, _STEPS, _FALL)
+            steps = _ROUGH if roughly else _STEPS
+            many = ManyPoints(self._shots, self.branches[0].parts, steps, _FALL)
             x = np.array([self.branches[0].begun(one) for one in v])
             levels = {name: np.full(len(v), self._level(sigma, name)) for name in self._outputs}
-            found, self._top = many.squares(x, levels, self._size, self._top)
+            found, top = many.squares(x, levels, self._size, self._top if roughly else np.inf)
+            self._top = top if roughly else self._top
         return [self.squares(one, sigma) if own is None else own for one, own in zip(v, found, strict=True)]
 
     def squares(self, v: Array, sigma: Array) -> Squares | None:

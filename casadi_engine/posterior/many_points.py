@@ -39,7 +39,7 @@ class ManyPoints:
     @property
     def room(self) -> int:
         """How many points are looked at together: as many as there is room for what they leave."""
-        return max(_ROOM // (max(self._shots.count, 1) * (1 + 2 * len(self._states))), 1)
+        return max(_ROOM // (max(self._shots.count, 1) * (1 + len(self._states))), 1)
 
     def logs(self, x: Array, sigma: Mapping[str, Array]) -> Array:
         """Log likelihood (P,), but for the levels' share, at points x (P, nx) where the best initial states are
@@ -53,9 +53,9 @@ class ManyPoints:
         self, x: Array, sigma: Mapping[str, Array], size: int, top: float
     ) -> tuple[list[Squares | None], float]:
         """Half the sums of squares, with slopes in the first ``size`` coordinates, the initial states at their best,
-        and the largest log likelihood so far. Points far below it need not be known so well.
+        and the largest log likelihood so far.
 
-        top : the largest one before
+        top : the largest one before, far below which points need not be known so well; inf where all are to be
         """
         places = np.concatenate([self._states, np.arange(size)])
         left, slopes = (
@@ -81,43 +81,62 @@ class ManyPoints:
         )
 
     def _settled(
-        self, x: Array, sigma: Mapping[str, Array], places: Index, top: float = np.inf
+        self, x: Array, sigma: Mapping[str, Array], places: Index, top: float = -np.inf
     ) -> Iterator[tuple[Index, Array, Array, Array]]:
         """Step by step, of the points that still move (P',): their numbers, log likelihoods, residuals (P', K) that a
         line leads to at the prior's mean of the initial states, and slopes (P', m, K) at the places (m,), which begin
-        with those of the initial states. top : a log likelihood below which chi-squared may be off by a share"""
+        with those of the initial states. Every other step takes the slopes that there are.
+
+        top : a log likelihood below which chi-squared may be off by a share; inf for slopes of their own at every step
+        """
         x, busy = x.copy(), np.arange(len(x))
         with np.errstate(all="ignore"):
             for _ in range(self._steps):
-                at, levels = x[busy], {name: own[busy] for name, own in sigma.items()}
-                left, slopes = self._with_slopes(at, levels, places)
-                ends = np.cumsum([0, *(len(where) for where, _ in self._parts)])
-                each = [slopes[:, a:b] for a, b in pairwise(ends)]
-                for (where, own), rows in zip(self._parts, each, strict=True):
-                    left = left - ((at[:, where] - own.mean)[:, None] @ rows)[:, 0]
-                squares = np.square(left).sum(axis=1)
-                total, fell = -0.5 * squares, np.zeros(len(busy))
-                for (where, own), rows in zip(self._parts, each, strict=True):
-                    log, best = own.integral(rows, left - own.mean @ rows)
-                    step = best - at[:, where]
-                    total = total + log + 0.5 * squares
-                    fell += np.square((step[:, None] @ rows)[:, 0]).sum(axis=1)
-                    fell += np.square(np.linalg.solve(own.factor, step.T)).sum(axis=0)
-                    x[np.ix_(busy, where)] = best
-                yield busy, total, left, slopes
-                below = np.maximum(top - total, 0.0) if np.isfinite(top) else np.zeros(len(total))
-                busy = busy[fell > self._fall + _ROUGH * below]  # what is not finite is looked at by itself
-                if not len(busy):
-                    return
+                residual, slopes = self._with_slopes(x[busy], _of(sigma, busy), places)
+                for last in (True,) if top == np.inf else (False, True):
+                    left, total, fell = self._moved(x, busy, residual, slopes)
+                    yield busy, total, left, slopes
+                    below = np.maximum(top - total, 0.0) if np.isfinite(top) else np.zeros(len(total))
+                    more = fell > self._fall + _ROUGH * below  # what is not finite is looked at by itself
+                    busy, slopes = busy[more], slopes[more]
+                    if not len(busy):
+                        return
+                    if not last:
+                        residual = self._shots.side_by_side(x[busy], _of(sigma, busy))
+
+    def _moved(self, x: Array, busy: Index, residual: Array, slopes: Array) -> tuple[Array, Array, Array]:
+        """Move the initial states of some points to their best by a line; the residuals (P', K) to which it leads at
+        the prior's mean, log likelihoods (P',), and how far they moved, in squared standard errors."""
+        at, left = x[busy], residual
+        ends = np.cumsum([0, *(len(where) for where, _ in self._parts)])
+        each = [slopes[:, a:b] for a, b in pairwise(ends)]
+        for (where, own), rows in zip(self._parts, each, strict=True):
+            left = left - ((at[:, where] - own.mean)[:, None] @ rows)[:, 0]
+        squares = np.square(left).sum(axis=1)
+        total, fell = -0.5 * squares, np.zeros(len(busy))
+        for (where, own), rows in zip(self._parts, each, strict=True):
+            log, best = own.integral(rows, left - own.mean @ rows)
+            step = best - at[:, where]
+            total = total + log + 0.5 * squares
+            fell += np.square((step[:, None] @ rows)[:, 0]).sum(axis=1)
+            fell += np.square(np.linalg.solve(own.factor, step.T)).sum(axis=0)
+            x[np.ix_(busy, where)] = best
+        return left, total, fell
 
     def _with_slopes(self, x: Array, sigma: Mapping[str, Array], places: Index) -> tuple[Array, Array]:
         """Residuals (P, K) at x (P, nx) and their slopes (P, m, K) at the places (m,)."""
         count, steps = len(x), _STEP * np.maximum(np.abs(x[:, places]), 1.0)
-        every = np.repeat(x[None], 1 + 2 * len(places), axis=0)
+        every = np.repeat(x[None], 1 + len(places), axis=0)
         for k, place in enumerate(places):
-            every[1 + 2 * k, :, place] -= steps[:, k]
-            every[2 + 2 * k, :, place] += steps[:, k]
+            every[1 + k, :, place] += steps[:, k]
         levels = {name: np.tile(own, len(every)) for name, own in sigma.items()}
-        found = self._shots.side_by_side(every.reshape(-1, x.shape[1]), levels).reshape(len(every), count, -1)
-        slopes = (found[2::2] - found[1::2]).transpose(1, 0, 2) / (2 * steps[..., None])
-        return found[0], slopes
+        moved = np.append(-1, places)
+        found = self._shots.side_by_side(every.reshape(-1, x.shape[1]), levels, moved).reshape(
+            len(every), count, -1
+        )
+        return found[0], (found[1:] - found[0]).transpose(1, 0, 2) / steps[..., None]
+
+
+def _of(sigma: Mapping[str, Array], which: Index) -> dict[str, Array]:
+    """The levels of some points."""
+    return {name: own[which] for name, own in sigma.items()}

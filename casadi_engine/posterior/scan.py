@@ -151,5 +151,6 @@ class _Walk:
 def _walked(target: Target, walks: list[_Walk]) -> None:
     """Go all of these ways to their ends, side by side."""
     while left := [(one, at) for one in walks if (at := one.next()) is not None]:
-        for (one, _), there in zip(left, target.squares_of(np.array([at for _, at in left])), strict=True):
+        found = target.squares_of(np.array([at for _, at in left]), roughly=True)
+        for (one, _), there in zip(left, found, strict=True):
             one.take(there)

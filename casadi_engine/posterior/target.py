@@ -66,6 +66,8 @@ class Likelihood(Protocol):
 
 # Half chi-squared by which a constraint's value beyond its limit, in its size at the start, counts times its square.
 _STEEP = 1e9
+# How often steps of the integration are made shorter at the fit's own point.
+_SHORTENED = 6
 
 
 class Target:
@@ -143,11 +145,14 @@ class Target:
         """Half of chi-squared and normal priors at the fit's noise levels, with slopes in v."""
         return self._with_priors(v, self.likelihood.squares(v, self._sigma))
 
-    def squares_of(self, v: Array) -> list[Squares | None]:
-        """The same at points v (k, nv) that lie far apart, where that can be done at once."""
+    def squares_of(self, v: Array, *, roughly: bool = False) -> list[Squares | None]:
+        """The same at points v (k, nv) that lie far apart, where that can be done at once; roughly : with initial
+        states that are nearly at their best."""
         own = getattr(self.likelihood, "squares_of", None)
         found = (
-            [self.likelihood.squares(one, self._sigma) for one in v] if own is None else own(v, self._sigma)
+            [self.likelihood.squares(one, self._sigma) for one in v]
+            if own is None
+            else own(v, self._sigma, roughly=roughly)
         )
         return [self._with_priors(*one) for one in zip(v, found, strict=True)]
 
@@ -231,10 +236,21 @@ def _likelihood(fit: Fit, search: Search, v: Array) -> Likelihood:
     if no_spectrum(search) is None and not _held(fit).any():
         return SpectralLikelihood(search.records, v, _priors(search, v, first))
     held = {name: np.array([one.fixed for one in fit.initial[name].values()]) for name in first}
-    found = LaplaceLikelihood(SingleShots.over(search), first, v, held, _priors(search, v, first))
+    shots = SingleShots.over(search)
+    shots.weigh({name: fit.noise[name][0] for name in search.records[0].outputs})
+    _finely(shots, np.concatenate([v, *first.values()]))
+    found = LaplaceLikelihood(shots, first, v, held, _priors(search, v, first))
     if not all(record.linear for record in search.records):
         _add_branches(found, fit, search, v, first)
     return found
+
+
+def _finely(shots: SingleShots, x: Array) -> None:
+    """Steps that can follow the records from the fit's own point, which began with those of a search."""
+    with suppress(FloatingPointError, np.linalg.LinAlgError):
+        for _ in range(_SHORTENED):
+            if not shots.integrate_finely(x, float(np.square(shots.residuals(x)).sum())):
+                break
 
 
 def _priors(search: Search, v: Array, first: Mapping[str, Array]) -> list[StatePrior]:

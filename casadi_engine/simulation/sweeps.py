@@ -25,6 +25,8 @@ from casadi_engine.simulation.tape import ArrayFunction
 _WIDE = 40
 # Steps that are made at once where none waits for another: beyond, what waits for an end is asked in between.
 _MANY = 65536
+# Up to this number of points that step side by side CasADi's machine is faster.
+MACHINE = 512
 # Steps of one sweep of the virtual machine.
 _SWEEP = 256
 # The same for implicit steps, and those of one sweep: a step at which the machine does not arrive ends it.
@@ -252,6 +254,38 @@ def _machine_step(slope: StageSlope, scheme: Tableau) -> ca.Function:
     if key not in slope.made:
         inputs, end = _step_symbols(slope, scheme)
         slope.made[key] = ca.Function("step", inputs, [end])
+    return slope.made[key]
+
+
+def machine_ends(sweeps: Sweeps, z: Array, first: Array) -> tuple[NDArray[np.intp], Array]:
+    """States (S + 1, n, P) along the explicit steps of one interval, at points z (nz, P) from ``first`` (n, P), and for
+    each step, and what stands at the end, its number among these; for few points, which arrays would not fill."""
+    place, (n, points) = sweeps._side_by_side[:, 0], first.shape
+    steps = len(place) - 1
+    size = min(_SWEEP, steps)
+    sweep = _machine_points(sweeps.slope, sweeps.scheme, size, points)
+    found = np.empty((steps + 1, n, points))
+    found[0] = first
+    for k in range(0, steps, size):
+        begin = min(k, steps - size)
+        ask(size * points)
+        swept = sweep(found[begin], sweeps.given[:, place[begin : begin + size]], z)
+        ends = np.asarray(swept, dtype=float).reshape(n, points, size)
+        found[begin + 1 : begin + 1 + size] = ends.transpose(2, 0, 1)
+    numbers = np.zeros(sweeps.layout.steps + sweeps.layout.intervals, dtype=np.intp)
+    numbers[place] = np.arange(steps + 1)
+    return numbers, found
+
+
+def _machine_points(slope: StageSlope, scheme: Tableau, size: int, points: int) -> ca.Function:
+    """So many steps at so many points, which share what is known."""
+    key = ("points", scheme.name, size, points)
+    if key not in slope.made:
+        steps = _machine_step(slope, scheme).mapaccum(size)
+        x, known, z = (ca.MX.sym("i", *steps.size_in(k)) for k in range(3))
+        z = ca.MX.sym("z", int(slope.z.numel()))
+        one = ca.Function("one", [x, known, z], [steps(x, known, ca.repmat(z, 1, size))])
+        slope.made[key] = one.map("points", "serial", points, [1], [])
     return slope.made[key]
 
 

@@ -45,3 +45,18 @@ def test_a_size_that_may_be_zero_or_is_at_a_bound_confirms_nothing(size, confirm
             "stribeck_friction at shaft, whose size may be zero within its errors, is at a bound, or has no error and "
             "a shape at a bound: that is no confirmation"
         ) in words
+
+
+@pytest.mark.parametrize(
+    ("delay", "error", "confirmed"), [(-5.8e-4, 5e-5, None), (5.8e-4, 5e-5, True), (-5.8e-4, 9e-4, None)]
+)
+def test_a_sensor_that_would_be_early_is_confirmed_by_nothing(delay, error, confirmed):
+    """An eddy current brake with a memory of 10 ms was a sensor 0.6 ms early, confirmed, with a stiffness 70 standard
+    errors off."""
+    size = Estimate(delay, error, "s", False, None, fixed=False)
+    one = SimpleNamespace(name="sensor_delay", at="sensor_x", amplitude=size, parameters={"delay": size})
+    found = held_to_sizes(Answer((one,)))
+    assert found.confirmed is confirmed
+    assert any("x shown early, as no sensor does" in words for words in found.messages) is (
+        delay < -2 * error
+    )

@@ -74,6 +74,38 @@ def test_it_acts_by_what_it_is_behind_and_follows_with_its_time_constant(model, 
     assert acted[np.argmax(np.abs(acted))] == pytest.approx(-3.0 * 1.5 / inertia)
 
 
+def test_a_wall_follows_a_temperature_not_how_far_it_is_above_an_ambient_that_moves():
+    """A collector whose ambient moved had a second storage to take that back, an input that lags, both confirmed."""
+    b = ce.Blueprint("collector")
+    c, loss = b.parameter("C", 2000.0, unit="J/K"), b.parameter("UA", 5.0, unit="W/K")
+    around, power, t = b.input("Ta", unit="K"), b.input("P", unit="W"), b.state("T", unit="K")
+    body = b.port("body", "inertia", {"speed": t - around})
+    b.ode("T", (power - loss * (t - around) + body) / c)
+    b.output("y", t, unit="K")
+    wider = b.model().with_effect(HiddenStorage(), at="body")
+    last = wider.closed_ode[-1]
+    assert not ca.depends_on(last, wider.u)
+    assert ca.depends_on(last, wider.x[0])
+    view = ce.effects.port_view(b.model(), "body")
+    assert str(view.stored("speed")) == "T"
+    assert view.stored("speed").shape == (1, 1)
+
+
+def test_what_is_stored_is_the_signal_where_its_shares_cannot_be_told_apart():
+    b = ce.Blueprint("vessel")
+    around, x, y = b.input("pa", unit="Pa"), b.state("x", unit="m3"), b.state("y", unit="Pa")
+    square = b.port("square", "inertia", {"speed": x**2 - around, "both": x * y, "other": y})
+    b.ode("x", square)
+    b.ode("y", -y)
+    b.output("x", x, unit="m3")
+    model = b.model()
+    view = ce.effects.port_view(model, "square")
+    square_of = ca.Function("stored", [model.x, model.u], [view.stored("speed")])
+    assert float(square_of([3.0, 0.0], 7.0) - square_of([2.0, 0.0], 1.0)) == pytest.approx(5.0)
+    assert str(view.stored("both")) == str(view.both)
+    assert str(view.stored("other")) == "y"
+
+
 def test_a_shaft_or_a_mass_has_none():
     data = ce.Experiment.from_arrays(
         "run", time=np.arange(40) * 0.1, units={"F": "N", "y": "m"}, F=np.ones(40), y=np.ones(40)

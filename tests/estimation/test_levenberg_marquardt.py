@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from casadi_engine.estimation.levenberg_marquardt import Squares, minimise
+from casadi_engine.estimation.levenberg_marquardt import Squares, driven, minimise, steps_of
 
 WIDE = np.full(2, np.inf)
 
@@ -179,3 +179,22 @@ def test_a_valley_that_bends_is_gone_along(steep, fewer):
         np.testing.assert_allclose(found.x, 1.0, atol=1e-3)
         asked[round_bends] = count
     assert fewer * asked[True] < asked[False]
+
+
+def test_searches_that_go_side_by_side_end_where_each_by_itself_does():
+    starts = [np.array([-1.2, 1.0]), np.array([2.0, 2.0]), np.array([np.nan, 0.0])]
+    asked = []
+
+    def every(points):
+        asked.append(len(points))
+        return [ROSENBROCK(one) if np.isfinite(one).all() else None for one in points]
+
+    begun = [steps_of(one, -WIDE, WIDE, fall=1e-12) for one in starts]
+    ends = driven(begun, every)
+    for start, end in zip(starts[:2], ends[:2], strict=True):
+        alone = minimise(ROSENBROCK, start, -WIDE, WIDE, fall=1e-12)
+        np.testing.assert_array_equal(end.x, alone.x)
+        assert end.steps == alone.steps
+    assert ends[2] is None
+    assert asked[:2] == [3, 2]
+    assert driven([], every) == []

@@ -69,8 +69,8 @@ def test_what_runs_off_is_asked_by_itself(monkeypatch):
     v, sigma = np.tile(target.start[: target.nv], (20, 1)), target.sigma(np.tile(target.start, (20, 1)))
     run = likelihood._shots.side_by_side
 
-    def lost(x, levels):
-        found = run(x, levels)
+    def lost(x, *more):
+        found = run(x, *more)
         found[5] = np.nan
         return found
 
@@ -84,7 +84,7 @@ def test_what_does_not_agree_with_single_points_is_not_used(monkeypatch):
     likelihood = target.likelihood
     v, sigma = np.tile(target.start[: target.nv], (20, 1)), target.sigma(np.tile(target.start, (20, 1)))
     run = likelihood._shots.side_by_side
-    monkeypatch.setattr(likelihood._shots, "side_by_side", lambda x, levels: 1.1 * run(x, levels))
+    monkeypatch.setattr(likelihood._shots, "side_by_side", lambda x, *more: 1.1 * run(x, *more))
     assert np.isnan(likelihood._side_by_side(v, sigma)).all()
     assert np.isnan(likelihood._side_by_side(v[:3], sigma[:3])).all()  # few are not worth it
 

@@ -139,3 +139,19 @@ def test_what_is_no_number_has_no_integral():
     prior = StatePrior(np.zeros((1, 1)), np.eye(1)[None])
     rows = np.array([[[np.nan, 0.0]], [[1.0, 0.0]]])
     assert np.isnan(prior.integral(rows, np.zeros((2, 2)))[0]).tolist() == [True, False]
+
+
+def test_states_that_are_seen_far_better_than_their_prior_leave_no_singular_matrix():
+    """At a point far off two states did all but the same, a thousand million times as much as the noise."""
+    random = np.random.default_rng(5)
+    prior = StatePrior(np.zeros((1, 2)), np.array([np.eye(2)]))
+    one = random.standard_normal(30)
+    rows = 1e12 * np.array([one, one * (1 + 1e-14)])
+    flat = random.standard_normal((3, 30))
+    taken = prior.without(rows, flat)
+    along = flat @ one / np.linalg.norm(one)
+    np.testing.assert_allclose(taken, np.outer(along, along), atol=1e-6 * np.abs(taken).max())
+    assert np.isfinite(prior.best(rows, flat[0])).all()
+    rows[0, 3] = np.nan
+    assert not np.isfinite(prior.without(rows, flat)).any()
+    assert not np.isfinite(prior.best(rows, flat[0])).any()

@@ -106,6 +106,6 @@ def test_what_a_sensor_that_is_early_may_be_is_said_to_its_end(repaired):
     )  # fmt: skip
     words = joined(replace(repaired, effects=(early,)))
     assert (
-        "no sensor is early: clocks differ, or it shows a share of the rate too, as behind a series resistance"
-        in words
+        "no sensor is early: clocks differ, it shows a share of the rate too, as behind a series resistance, or what "
+        "acts has a memory that the model lacks" in words
     )
