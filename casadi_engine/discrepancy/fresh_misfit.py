@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_engine.discrepancy.confirmation import Gap, share_closed
-from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Unknown
+from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Unknown, in_its_place
 from casadi_engine.discrepancy.selection import numbers_of
 from casadi_engine.discrepancy.withdrawal import withdrawn
 from casadi_engine.distributions import f_sf
@@ -292,6 +292,9 @@ def _held(repair: Repair) -> Repair:
     # several effects together bend to what none of them is, unless they close all but a tenth of the squares
     if confirmed and len(repair.effects) > 1 and not is_louder(repair) and _left(repair) ** 2 > SEEN:
         confirmed = False
+    # what fresh data confirm is that something acts there: the law of no name as well as what it may stand for
+    if confirmed and in_its_place(repair.unknown, repair.effects) and not is_louder(repair):
+        confirmed = None
     unknown = repair.unknown
     if unknown is None and repair.effects and not is_louder(repair):  # what is left there has no name
         unknown = Unknown(misfit, {})
