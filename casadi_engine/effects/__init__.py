@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         SensorLag,
         SensorOffset,
     )
-    from casadi_engine.effects.stiffness import Backlash, CubicStiffness
+    from casadi_engine.effects.stiffness import Backlash, CubicStiffness, GroundSpring
     from casadi_engine.effects.storage import HiddenStorage, Relaxation
     from casadi_engine.effects.table import table
     from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
@@ -51,6 +51,7 @@ __all__ = [
     "CylinderImbalance",
     "Effect",
     "Grid",
+    "GroundSpring",
     "HiddenStorage",
     "Impulse",
     "InputDelay",
@@ -107,7 +108,7 @@ import_at_first_use(
             "SensorLag",
             "SensorOffset",
         ),
-        "casadi_engine.effects.stiffness": ("Backlash", "CubicStiffness"),
+        "casadi_engine.effects.stiffness": ("Backlash", "CubicStiffness", "GroundSpring"),
         "casadi_engine.effects.table": ("table",),
         "casadi_engine.effects.storage": ("HiddenStorage", "Relaxation"),
         "casadi_engine.effects.torque": ("ConstantTorque", "Impulse", "LoadStep"),

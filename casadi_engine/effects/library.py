@@ -19,7 +19,7 @@ from casadi_engine.effects.sensor import (
     SensorLag,
     SensorOffset,
 )
-from casadi_engine.effects.stiffness import Backlash, CubicStiffness
+from casadi_engine.effects.stiffness import Backlash, CubicStiffness, GroundSpring
 from casadi_engine.effects.storage import HiddenStorage, Relaxation
 from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
 from casadi_engine.effects.transfer import Overflow, Transfer
@@ -44,6 +44,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         StribeckFriction(),
         AsymmetricFriction(),
         ConstantTorque(),
+        GroundSpring(),
         CubicStiffness(),
         Backlash(),
         HiddenStorage(),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.effects.corners import narrow
-from casadi_engine.effects.protocol import Amplitude, Effect
+from casadi_engine.effects.protocol import Amplitude, Effect, Law
 
 # Torque at the edge of a play, in shares of the coupling's largest one; the width of its corners, likewise; and the
 # largest torque where none is known [N m].
@@ -35,6 +35,44 @@ class CubicStiffness(Effect):
         """k₃ twist³."""
         del math
         return p.stiffness * port.twist**3
+
+
+@dataclass(frozen=True)
+class GroundSpring(Effect):
+    """A spring between what turns or moves and the ground, −k (x − x₀): a return spring, a membrane, a weight that
+    hangs, or stands, where k is negative.
+
+    x is the speed of the port added up. Where it begins, as the spring has it, is estimated with the other initial
+    states; first : where it begins at the start
+
+    >>> GroundSpring().describe("door")
+    'a spring between door and the ground'
+    """
+
+    first: float = 0.0
+
+    name = "ground_spring"
+    attaches = ("inertia",)
+    kin = ("constant_torque", "relaxation", "sensor_lag")
+    sentence = "a spring between {port} and the ground"
+    amplitude = Amplitude("stiffness", unit="N m/rad")
+
+    def idle(self, port: Any) -> str:
+        """Where nothing turns or moves."""
+        return "" if port.is_mechanical else "a spring holds what turns or moves"
+
+    def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
+        """The same from where the port says that the records begin."""
+        del record, values
+        places = [port.courses(name) for name in ("angle", "position") if port.has(name)]
+        begun = [float(own[0]) for courses in places[:1] for own in courses if np.isfinite(own[:1]).all()]
+        return replace(self, first=float(np.mean(begun))) if begun else self
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """−k x."""
+        del math
+        place = port.state("place")
+        return Law(-p.stiffness * place, {"place": (self.first, port.speed)})
 
 
 @dataclass(frozen=True)

@@ -108,8 +108,11 @@ class _Blank:
     def state(self, name: str) -> Any:
         return ca.SX.sym(name)
 
-    def courses(self, signal: str) -> tuple[()]:
-        del signal
+    def stored(self, signal: str) -> Any:
+        return getattr(self, signal)
+
+    def courses(self, signal: str, *, stored: bool = False) -> tuple[()]:
+        del signal, stored
         return ()
 
 
