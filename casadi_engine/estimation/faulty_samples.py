@@ -16,8 +16,9 @@ IN_DOUBT = "data in doubt"
 # Fewest samples by which anything is said of an output.
 _FEW = 8
 # Standard deviations, by the median, beyond which a sample is wild; share of all squared residuals that wild ones hold
-# where they decide the fit; share of the samples that they are at most.
-_WILD, _DECIDE, _RARE = 15.0, 0.5, 0.01
+# where they decide the fit; share of the samples that they are at most, and up to which they are single faults: more
+# are the tails of a noise that is not normal, for which there is a loss.
+_WILD, _DECIDE, _MOST, _RARE = 15.0, 0.5, 0.04, 0.01
 # Share of its median absolute deviation that the standard deviation of a normal variable is.
 _MAD = 1.4826
 _NAMED = 5
@@ -56,14 +57,16 @@ def _constant(fit: Fit) -> str | None:
 
 def wild_samples(fit: Fit) -> str | None:
     """What to say where a few single samples hold most of the squared residuals: they decide what is fitted, and what
-    could be seen beside them. None where there are none."""
-    found, count, cure = [], 0, ""
+    could be seen beside them. None where there are none, or the loss is one that they do not decide."""
+    if fit.options.get("loss", "square") != "square":
+        return None
+    found, count, cure, tails = [], 0, "", False
     for record, traces in fit.traces.items():
         for output, trace in traces.items():
             places = _wild(trace)
             if not len(places):
                 continue
-            count += len(places)
+            count, tails = count + len(places), tails or len(places) > max(1, _RARE * trace.mask.sum())
             times = ", ".join(f"{time:.6g}" for time in trace.time[places[:_NAMED]])
             more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
             found.append(f"{output} of {record} at {times} s{more}")
@@ -73,6 +76,8 @@ def wild_samples(fit: Fit) -> str | None:
     one = count == 1
     sample = "1 single sample holds" if one else f"{count} single samples hold"
     those = "It decides the fit, and hides" if one else "They decide the fit, and hide"
+    if tails:
+        cure += ', or fit with loss="huber", which bounds what each does'
     return (
         f"{sample} most of what the model leaves: {'; '.join(found[:_NAMED])}. {those} what is missing: leave "
         f"{'it' if one else 'them'} out, {cure}, if {'it is a fault' if one else 'they are faults'} of the measurement"
@@ -172,7 +177,7 @@ def _wild(trace: Trace) -> Index:
     near = np.r_[False, beyond[:-1]] | np.r_[beyond[1:], False]
     single = beyond & ~near
     single &= _outside(trace, there) > _WILD * _MAD * max(float(np.median(off)), 1e-300)
-    few = single.sum() <= max(1, _RARE * len(e))
+    few = single.sum() <= max(1, _MOST * len(e))
     return there[single] if few and off[single] @ off[single] > _DECIDE * (off @ off) else there[:0]
 
 

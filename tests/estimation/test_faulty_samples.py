@@ -37,7 +37,20 @@ def test_a_limit_is_met_more_than_once_and_is_no_step(bend, limited):
 def fit_that_leaves(e):
     n = len(e)
     trace = Trace(np.arange(n) * 1.0, np.asarray(e, float), np.ones(n, bool), np.zeros(n))
-    return SimpleNamespace(traces={"run": {"y": trace}})
+    return SimpleNamespace(traces={"run": {"y": trace}}, options={})
+
+
+def test_tails_that_decide_a_fit_are_said_with_the_loss_that_bounds_them():
+    """In 40 of 40 fits there was no word of 5 % of samples that lay 10 to 60 standard deviations out."""
+    e = np.random.default_rng(0).standard_normal(400)
+    e[[20, 77, 131, 240, 251, 300, 355, 390]] = 60.0
+    fit = fit_that_leaves(e)
+    assert 'or fit with loss="huber", which bounds what each does' in wild_samples(fit)
+    few = np.random.default_rng(0).standard_normal(400)
+    few[20] = 400.0
+    assert "huber" not in wild_samples(fit_that_leaves(few))
+    fit.options = {"loss": "huber"}
+    assert wild_samples(fit) is None
 
 
 def test_the_wild_are_counted_and_the_first_ones_listed():
