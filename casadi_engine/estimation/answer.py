@@ -22,7 +22,7 @@ from casadi_engine.estimation.integration import integration_of
 from casadi_engine.estimation.lower_optimum import Place
 from casadi_engine.estimation.predictor import output_stride
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.residual_noise import OwnNoise, own_noise, with_own_noise
+from casadi_engine.estimation.residual_noise import OwnNoise, own_noise, quieter, with_own_noise
 from casadi_engine.estimation.search import AT_WALL, Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
 from casadi_engine.estimation.varied_noise import Varied, varied_noise
@@ -90,6 +90,7 @@ def make_fit(
     found = judged(search, best, white, errors, optima, residuals, check=None if stopped else check)
     cost = printed_cost(search, v, residuals)
     noise_words = _noise_words(search, (noises, varied), ratio if errors is not white else None, effective)
+    noise_words += _quieter_words(search, best)
     said = _messages(search, best, errors, reason, optima, stopped, noise_words) + _against_priors(
         search, white
     )
@@ -381,6 +382,17 @@ def _louder_words(search: Search, noises: Sequence[OwnNoise], output: str) -> st
         f"the residual of {output} is {much} the stated noise level of {sigma:.3g}: the level (its unit?) or the model "
         "is wrong, or the search ended at a local optimum (try starts=10); "
     )
+
+
+def _quieter_words(search: Search, best: Attempt) -> list[str]:
+    """Outputs whose residuals are far smaller than the level that was stated."""
+    found = quieter(search, search.problem.at(best.solution.x).records)
+    sigma = dict(zip(search.levels.outputs, map(float, search.sigma), strict=True))
+    return [
+        f"the residual of {name} is {size:.2g} times the stated noise level of {sigma[name]:.3g}: the level (its "
+        "unit?) is too large, or neighbouring samples are not independent; the standard errors are those of that level"
+        for name, size in found.items()
+    ]
 
 
 def _noise_words(

@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 _COLOUR, _FEW, _FEWEST = 3.0, 30, 5
 # A sum of squares that chance makes so rarely is not of the stated noise level.
 _IMPOSSIBLE = 1e-9
+# A residual that is smaller than this share of the stated level is not of that noise; data without any are smaller yet.
+_QUIET, _EXACT = 1 / 3, 1e-3
 # So rarely chance makes the residual of a record that much larger than that of the others, whose level is one.
 _UNEVEN = 1e-2
 # Errors and colour are found in turn until no error moves by this share, or so often: of a residual that is one slow
@@ -152,6 +154,27 @@ def _louder(search: Search, points: Sequence[RecordPoint]) -> dict[tuple[int, st
         if not loud and chi2_sf(square, left * count) < _IMPOSSIBLE:
             loud = dict.fromkeys(own, math.sqrt(square / (left * count)))
         found |= {(at, name): size for at, size in loud.items()}
+    return found
+
+
+def quieter(search: Search, points: Sequence[RecordPoint]) -> dict[str, float]:
+    """Output -> its residual's size in the level that was stated for it, where this is far smaller than any noise of
+    that level; not of data that were simulated without noise."""
+    found: dict[str, float] = {}
+    for name, estimated in zip(search.records[0].outputs, search.levels.estimated, strict=True):
+        rows = [
+            _counted(record, point.r, name)
+            for record, point in zip(search.records, points, strict=True)
+            if name in record.observation.where
+        ]
+        count = sum(map(len, rows))
+        left = count * (1 - search.free_count / count) if count else 0.0
+        if estimated or search.loss.robust or left < 1:
+            continue
+        square = float(sum(r @ r for r in rows))
+        size = math.sqrt(square / left)
+        if _EXACT < size < _QUIET and 1 - chi2_sf(square, left) < _IMPOSSIBLE:
+            found[name] = size
     return found
 
 

@@ -37,6 +37,7 @@ def states_first(search: FirstPoints, x: Array) -> Array:
         return x
     if search.loss.robust or all(record.linear for record in search.records):
         return x
+    search.problem.forget()  # steps may be made shorter
     found = x.copy()
     for record, lay in zip(search.records, search.problem.layouts, strict=True):
         if record.linear:
@@ -47,7 +48,6 @@ def states_first(search: FirstPoints, x: Array) -> Array:
             return x
         nodes = chained_nodes(record, np.zeros(0), end.x)
         found[lay.at : lay.at + nodes.size] = nodes.ravel()
-    search.problem.forget()
     return found
 
 
