@@ -27,6 +27,9 @@ _HALVINGS = 10
 _NODE_STEPS, _SMALL, _DAMPING, _HINDER, _BLIND = 10, 1e-2, 1e-2, 6.0, 1e-6
 # Times that gaps between intervals are closed side by side, and what is left of them, as a share of the largest state.
 _CLOSINGS, _CLOSED = 10, 1e-11
+# Difference of a run and the nodes near it, in the size of these, from which on it has left them; most numbers of nodes
+# of which the nearest trajectory is looked for.
+_LEFT, _DENSE = 1e-6, 2000
 # A start is drawn within this factor of the given one where the bounds leave more room.
 _REACH = 3.0
 # Starts that are drawn near, before every other one is drawn from all that the bounds allow, or this power of the reach
@@ -218,15 +221,47 @@ def joined_nodes(record: RecordTerm, v: Array, near: Array) -> Array:
     """Nodes (M, n) of the trajectory that starts at the first of nodes near it, scaled.
 
     The gaps between intervals close side by side, by Newton's steps; in one run, interval by interval, where they do
-    not, or where that is as cheap.
+    not, or where that is as cheap and ends near by: along what grows beyond all digits the first state alone says
+    nothing of the last one.
     """
-    if record.plan.m == 1 or not isinstance(record.propagator, RungeKuttaPropagator):
+    if record.plan.m == 1:
         return chained_nodes(record, v, near[0])
+    if not isinstance(record.propagator, RungeKuttaPropagator):
+        run = chained_nodes(record, v, near[0])
+        if not record.linear or float(np.abs(run - near).max()) <= _LEFT * max(
+            1.0, float(np.abs(near).max())
+        ):
+            return run
+        shadow = _shadow(record, v, near.copy())
+        return run if shadow is None else shadow
     try:
         joined = _joined(record, v, near.copy())
     except FloatingPointError:  # far from the run, a step may lead anywhere
         joined = None
     return chained_nodes(record, v, near[0]) if joined is None else joined
+
+
+def _shadow(record: RecordTerm, v: Array, nodes: Array) -> Array | None:
+    """The trajectory nearest to nodes (M, n), whose start moves too, by less than its digits say; None where the gaps
+    do not close."""
+    count, n = nodes.shape
+    if count * n > _DENSE:
+        return None
+    for _ in range(_CLOSINGS):
+        path = record.propagator.propagate(v[record.active], nodes, 1)
+        gaps = path.end.T[:-1] - nodes[1:]
+        if not np.isfinite(gaps).all():
+            return None
+        if np.abs(gaps).max() <= _CLOSED * max(1.0, float(np.abs(nodes).max())):
+            return nodes
+        ends = np.broadcast_to(path.end_s, (count, n, n))
+        rows = np.zeros(((count - 1) * n, count * n))
+        for k in range(count - 1):
+            own = slice(k * n, (k + 1) * n)
+            rows[own, own] = -ends[k]
+            rows[own, (k + 1) * n : (k + 2) * n] = np.eye(n)
+        nodes = nodes + np.linalg.lstsq(rows, gaps.ravel(), rcond=None)[0].reshape(nodes.shape)
+    return None
 
 
 def _joined(record: RecordTerm, v: Array, nodes: Array) -> Array | None:
