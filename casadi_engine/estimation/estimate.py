@@ -22,6 +22,7 @@ from casadi_engine.estimation.cut_short import GIVEN_UP, MANY, in_time
 from casadi_engine.estimation.faulty_samples import faults
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
+from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.late_sensors import begun_late, follow_delays
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.lower_optimum import from_lower_places
@@ -46,6 +47,8 @@ from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
 
+# How often a fit goes on that ended a step short of an optimum.
+_FURTHER = 6
 _ENDED = "interrupted by the user before all that follows a search was done: its checks are not complete"
 
 
@@ -208,10 +211,21 @@ def _followed_up(
     fit = _with_sharp_corners(fit, arguments, again)
     if alone:
         return fit
+    fit = in_time(lambda: _gone_on(fit, again), lambda: fit)
     fit = in_time(lambda: from_lower_places(fit, again), lambda: fit)
     fit = in_time(lambda: looked_at_twice(fit, again), lambda: fit)
     fit = in_time(lambda: told_from_their_bounds(fit, arguments["parameters"], again), lambda: fit)
     return replace(fit, messages=(*faults(fit), *fit.messages))
+
+
+def _gone_on(fit: Fit, run: Callable[[dict[str, Any]], Fit]) -> Fit:
+    """The fit that goes on from where one ended a step short of an optimum, along a valley that is all but flat."""
+    further = fit
+    for _ in range(_FURTHER):
+        if ONE_STEP not in further.status:
+            break
+        further = run({"parameters": further.parameters, "warm": further, "approach": "direct"})
+    return further if further.converged else fit
 
 
 def _with_sharp_corners(fit: Fit, arguments: Mapping[str, Any], run: Callable[[dict[str, Any]], Fit]) -> Fit:
