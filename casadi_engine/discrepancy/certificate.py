@@ -44,6 +44,8 @@ _MATRIX = 24
 # Functions that are named beside the most probable one, where the data do not tell them from it.
 _RIVALS = 2
 _LIKE = 0.8
+# Standard errors by which the ends of a course differ where it is said to rise or to fall.
+_SURE = 3.0
 # Log odds beyond which no number is said.
 _SAID = 9.0
 # Share of the squares of what was measured from which it swings at a frequency itself.
@@ -269,7 +271,7 @@ def in_place_of(last: Station, law: UnknownLaw, *, far: bool = False) -> Unknown
         return Unknown(words, {}, family.port, family.signal, None, law.course)
     if not names:
         rest = "noise of that colour" if last.screened.noise.colour else "noise alone"
-        words += f"{likeness_words(law.course)}{others}: {much} more probable than {rest}"
+        words += f"{likeness_words(law.course, far=far)}{others}: {much} more probable than {rest}"
         words += f", but by a simulation that is far from the motion: {FAR_OFF}" if far else ""
     elif law.is_curve and odds < 1:
         words += f", in the place of {names}, explains no less: fewer numbers alone speak for these"
@@ -312,13 +314,15 @@ def law_words(model: Model, family: Family) -> str:
     return f"{acts} that depends on {'its ' if named else ''}{own}"
 
 
-def likeness_words(course: Course) -> str:
-    """What a course looks like, where it does."""
+def likeness_words(course: Course, *, far: bool = False) -> str:
+    """What a course looks like, where it does. far : it is seen along a simulation that is far from the motion"""
     if course.family.order:
         return ""
     shape, like = next(iter(course.looks_like.items()), ("", 0.0))
     if course.family.port.startswith("parameter_") and shape == "linear" and like > _LIKE:
-        return f", and {'rises' if course.mean[-1] > course.mean[0] else 'falls'} with it"
+        way = float(course.mean[-1] - course.mean[0])
+        sure = not far and abs(way) > _SURE * math.hypot(course.band[0], course.band[-1])
+        return f", and {'rises' if way > 0 else 'falls'} with it" if sure else ""
     # the model has lines of its own
     return f" and looks {shape}" if like > _LIKE and shape != "linear" else ""
 

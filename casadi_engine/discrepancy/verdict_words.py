@@ -90,7 +90,10 @@ def headline(repair: Repair) -> str:
     if repair.unknown and (law or repair.unknown.odds is not None):
         doubt += f", or {'rather ' if law else ''}a law that the library lacks"
     elif repair.unknown and not is_of_rounding(repair):
-        doubt += ", and more that no effect of the library names"
+        cut = bool(repair.stopped)
+        doubt += (
+            f", and more that {'was not searched to the end' if cut else 'no effect of the library names'}"
+        )
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     hidden = "; the residual is coloured, and more may hide in it" if _may_hide_more(repair) else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}{hidden}"
