@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -16,6 +17,8 @@ from casadi_engine.errors import ConstraintError, ParameterError
 if TYPE_CHECKING:
     from casadi_engine.parameters.compiled import CompiledConstraint, CompiledPrior
 
+# Levels of operations to which two expressions are compared.
+_DEEP = 20
 SLACK = 1e-9
 # Standard deviations beyond which less than one in a million of a normal prior lies.
 OUTSIDE = 5.0
@@ -33,7 +36,8 @@ def check_feasible(
 
     z : SX (nz, 1); start, lower, upper : (nz,). The cheapest answer comes first: a start that meets
     everything; then interval arithmetic, which names one constraint; then a linear program, which names
-    them all. Constraints that are not affine are left to the solver.
+    them all. Constraints that are not affine are left to the solver, but for bounds of one expression that have
+    nothing in common.
     """
     if not constraints:
         return
@@ -47,12 +51,26 @@ def check_feasible(
     if np.all((value >= low - slack) & (value <= high + slack)):
         return
     affine = [i for i, constraint in enumerate(constraints) if ca.is_linear(constraint.expression, z)]
+    _check_alike([one for i, one in enumerate(constraints) if i not in affine])
     if not affine:
         return
     value, slope, low, high, slack = value[affine], slope[affine], low[affine], high[affine], slack[affine]
     for row, index in enumerate(affine):
         _check_interval(constraints[index], value[row], slope[row], slack[row], lower - start, upper - start)
     _check_together([constraints[i].label for i in affine], value, slope, low, high, start, lower, upper)
+
+
+def _check_alike(constraints: Sequence[CompiledConstraint]) -> None:
+    """Raise ConstraintError for two constraints on one expression whose bounds have nothing in common."""
+    for one, other in combinations(constraints, 2):
+        apart = one.min > other.max or one.max < other.min
+        if apart and ca.is_equal(one.expression, other.expression, _DEEP):
+            raise ConstraintError(
+                f"two constraints on {one.label} cannot be met together",
+                seen=f"{one.min:g} to {one.max:g}, and {other.min:g} to {other.max:g}",
+                allowed="bounds that have values in common",
+                cure="correct one of them, or give both sides in one call",
+            )
 
 
 def check_priors(

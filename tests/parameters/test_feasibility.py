@@ -168,3 +168,20 @@ def test_a_prior_of_what_hangs_on_a_fixed_parameter_is_a_number_that_is_added():
     pars["b"].set(prior=(0.1, 0.01))
     pars.fix("a", 1.0)
     assert compile(pars, ("a", "b", "c"), ("r",)).free == ("c",)
+
+
+def test_bounds_of_one_ratio_that_have_nothing_in_common_are_refused(refused):
+    """Two ranges of a ratio had been searched for, and other starts advised."""
+    pars = boxed(0.1, 50.0, "ab", start=3.0)
+    pars.constrain("a/b", 1, 100)
+    pars.constrain("a / b", min=50)
+    compile(pars, "ab")
+    pars.constrain("a/b", 1000, 2000)
+    with refused(
+        ConstraintError,
+        "two constraints on a/b cannot be met together",
+        seen="1 to 100, and 1000 to 2000",
+        allowed="values in common",
+        cure="both sides in one call",
+    ):
+        compile(pars, "ab")
