@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+# Characters of what was seen that a message shows: of a posterior with its draws they were thirty thousand.
+_SHOWN = 1000
+
+
+def _shown(seen: Any) -> str:
+    text = seen if isinstance(seen, str) else repr(seen)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN].rstrip()} … ({type(seen).__name__})"
+
 
 class CasadiEngineError(Exception):
     """Base of every error that this package raises on purpose.
@@ -26,7 +34,7 @@ class CasadiEngineError(Exception):
         self.problem, self.seen, self.allowed, self.cure = problem, seen, allowed, cure
         parts = [problem]
         if seen is not None:
-            parts.append(f"seen: {seen if isinstance(seen, str) else repr(seen)}")
+            parts.append(f"seen: {_shown(seen)}")
         if allowed is not None:
             parts.append(f"allowed: {allowed}")
         if cure is not None:

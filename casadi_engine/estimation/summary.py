@@ -417,6 +417,12 @@ def next_steps(fit: Fit) -> list[str]:
             "can be"
         )
     for key, share in lost(fit).items():
+        if not fit.free:
+            steps.append(
+                f"the simulation follows {max(share, 0.0):.0f} % of {key}, and no parameter is free: free some, or "
+                "ce.repair(model, data) looks for what the model lacks"
+            )
+            break
         how = 'approach="prediction"' if fit.options.get("approach") == "direct" else "starts=20"
         steps.append(
             f"the simulation follows {max(share, 0.0):.0f} % of {key}: look for a better optimum, "

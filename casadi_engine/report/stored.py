@@ -19,6 +19,7 @@ from casadi_engine.report.result_file import SCHEMA
 from casadi_engine.report.schema import faults
 
 AGAIN = "run the command again to write it anew"
+_NO_RESULT = "give the result.json that a command wrote, or its folder; this file is none"
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +203,9 @@ def _parsed(path: str, text: str) -> Any:
         return json.loads(text, parse_constant=refuse, parse_float=finite)
     except json.JSONDecodeError as error:
         raise ResultError(
-            f"{path}: broken JSON at line {error.lineno}, column {error.colno}", seen=error.msg, cure=AGAIN
+            f"{path}: broken JSON at line {error.lineno}, column {error.colno}",
+            seen=error.msg,
+            cure=AGAIN if text.lstrip().startswith("{") else _NO_RESULT,
         ) from None
     except (RecursionError, ValueError) as error:  # nested too deep, or an integer of too many digits
         raise ResultError(f"{path}: cannot be read as JSON", seen=str(error), cure=AGAIN) from None
