@@ -83,7 +83,7 @@ from casadi_engine.discrepancy.too_few import held_to_what_fresh_data_tell
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, imitators, unknown_law
 from casadi_engine.discrepancy.unseen_events import held_to_seen_events
 from casadi_engine.discrepancy.vanishing import may_vanish
-from casadi_engine.discrepancy.verdict_words import may_hide
+from casadi_engine.discrepancy.verdict_words import ENOUGH, may_hide
 from casadi_engine.discrepancy.withdrawal import held_to_rivals
 
 _MAY_HIDE = (
@@ -526,8 +526,10 @@ def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict:
 
 
 def _split(kept: Sequence[Station]) -> NextExperiment | None:
-    """The experiment for the first class of more than one."""
+    """The experiment for the first class of more than one, where the members are not far apart already along the motion
+    itself: what keeps such together is no lack of data."""
     for number, station in enumerate(kept):
         if number and len(station.members) > 1:
-            return next_experiment(kept[number - 1], station)
+            made = next_experiment(kept[number - 1], station)
+            return None if made is None or made.separation_now >= ENOUGH else made
     return None
