@@ -44,8 +44,9 @@ _MATRIX = 24
 # Functions that are named beside the most probable one, where the data do not tell them from it.
 _RIVALS = 2
 _LIKE = 0.8
-# Standard errors by which the ends of a course differ where it is said to rise or to fall.
-_SURE = 3.0
+# Standard errors by which the ends of a course differ where it is said to rise or to fall: their band holds what is not
+# known of its level too.
+_SURE = 2.0
 # Log odds beyond which no number is said.
 _SAID = 9.0
 # Share of the squares of what was measured from which it swings at a frequency itself.
