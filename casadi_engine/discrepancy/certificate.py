@@ -265,6 +265,8 @@ def in_place_of(last: Station, law: UnknownLaw, *, far: bool = False) -> Unknown
     words = law_words(last.fit.model, family)
     rivals = [law_words(last.fit.model, one) for one in law.rivals[:_RIVALS]]
     others = "".join(f", or {said}" for said in dict.fromkeys(rivals) if said != words)
+    lost = dict.fromkeys(law_words(last.fit.model, one) for one in law.unheard[:_RIVALS])
+    others += "".join(f", or {said}, which was not followed to its end" for said in lost)
     names = " and ".join(one.name for one in last.effects)
     much = f"{odds:.2g} times" if law.log < _SAID else "far"
     if names and law.is_beside:

@@ -124,7 +124,6 @@ class Race:
     failed: set[tuple[str, str]] = field(default_factory=set)
     share: float = 0.0  # of the work that each may cost, so far
     plain: dict[Key, tuple[float, int]] = field(default_factory=dict)
-    told: bool = False  # along the motion that one gives, see ``law_along``
     wide: Refits | None = None  # with fresh data too, see ``law_on_fresh``
 
     @classmethod
@@ -248,7 +247,7 @@ def short(
                 levels=refits.path.levels,
                 interval=refitter.interval,
             )
-            horizons = horizons_of(problem)[:_SHORT]
+            horizons = _horizons(problem)[:_SHORT]
             with Deadline(work=share * refits.path.allowed(problem)):
                 found = problem.run(start=tried.arrived.values, horizons=horizons, most=_FEW)
     except FAILURES:
@@ -274,10 +273,15 @@ def _followed(refits: Refits, one: Begun) -> Whole | None:
     ask()
     try:
         with np.errstate(all="ignore"):
-            longer = horizons_of(one.problem)[_SHORT:] or [None]
+            longer = _horizons(one.problem)[_SHORT:] or [None]
             with Deadline(work=refits.path.allowed(one.problem)):
                 found = one.problem.run(warm=one.found, horizons=longer, most=_STEPS)
-            return whole_of(refits, one.problem, one.setup, found)
+            if not found.initial or not math.isfinite(found.cost):
+                return None
+            null = null_of_refit(
+                one.setup.model, one.setup.parameters, one.problem, found, refits.path.levels
+            )
+            return Whole(one.setup, found, null, _counted(null, one.setup))
     except FAILURES:
         return None
     except TimeUp:
@@ -285,15 +289,7 @@ def _followed(refits: Refits, one: Begun) -> Whole | None:
         return None
 
 
-def whole_of(refits: Refits, problem: RefitProblem, setup: Setup, found: Refit) -> Whole | None:
-    """A function where its refit on the whole record ended; None where it arrived nowhere."""
-    if not found.initial or not math.isfinite(found.cost):
-        return None
-    null = null_of_refit(setup.model, setup.parameters, problem, found, refits.path.levels)
-    return Whole(setup, found, null, _counted(null, setup))
-
-
-def horizons_of(problem: RefitProblem) -> list[float | None]:
+def _horizons(problem: RefitProblem) -> list[float | None]:
     """Windows from one interval on that double, and the whole record: a law far from the motion so far leads astray
     over windows that grow faster."""
     lengths = [(record.grid.step * record.plan.length, record.plan.m) for record in problem.records]

@@ -24,7 +24,6 @@ from casadi_engine.discrepancy.evidence import (
     evidence,
     foretold,
 )
-from casadi_engine.discrepancy.law_along import told_along
 from casadi_engine.discrepancy.law_on_fresh import by_all_data
 from casadi_engine.discrepancy.law_race import Begun, Followed, Race, chance, followed, raced, tells
 from casadi_engine.discrepancy.law_rival import TAKEN
@@ -75,13 +74,9 @@ def refitted_law(
     try:
         for one in wanted:
             each.append(followed(refits, one))
-            _tell_others(refits, one)
     except TimeUp:
         if not any(each):
             raise
-    each += [
-        followed(refits, one) for one in begun if one not in wanted and Race.of(refits).whole.get(one.at)
-    ]
     with lifted():  # what was refitted is an answer
         left = refits.path.residuals(tried.effects, tried.arrived)
         found = [one for one in each if one is not None and _takes_the_colour(left, one.null)]
@@ -92,17 +87,16 @@ def refitted_law(
     if best is None:
         return None
     price = (len(tried.effects) - 1) * max(further, 0.0)
-    return replace(best, log=best.log - math.log(count) + price, price=price)
-
-
-def _tell_others(refits: Refits, one: Begun) -> None:
-    """Once a function has given the motion, tell the others along it: once."""
-    race = Race.of(refits)
-    best = race.whole.get(one.at)
-    if race.told or best is None or one.setup.family.port.startswith("sensor_") or is_far(best.null):
-        return  # what a sensor adds moves nothing
-    race.told = True
-    told_along(refits, best, [o for o in race.begun.values() if o.at not in race.whole and not o.elsewhere])
+    unheard = [one.setup.family for one, arrived in zip(wanted, each, strict=False) if arrived is None]
+    timed = (
+        best.course.family.signal == TIME
+    )  # it follows whatever is slow, and says nothing of what else might
+    return replace(
+        best,
+        log=best.log - math.log(count) + price,
+        price=price,
+        unheard=tuple(one for one in unheard if timed and one.signal != TIME),
+    )
 
 
 def _with_unused(refits: Refits, others: Sequence[Family]) -> list[Family]:

@@ -146,12 +146,6 @@ def setups_elsewhere(refits: Refits, tried: Tried, family: Family) -> list[Setup
     ]
 
 
-def over_range(refits: Refits, setup: Setup, family: Family) -> Setup:
-    """A function at a port that knows its signal, over another range of it."""
-    size = float(setup.deviations[0] / np.sqrt(setup.family.variances[0]))
-    return _attached(refits, refits.pool[frozenset()], family, size)
-
-
 def _in_equations_alone(model: Model, port: Port) -> bool:
     """Whether no drive, which is made of inputs and time, has the parameter of a port."""
     symbol = model.p[model.parameter_names.index(port.parameter)]

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadi_engine.discrepancy.law_race import Race, Whole
+from casadi_engine.discrepancy.law_race import Race
 from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.discrepancy.path import FAILURES
@@ -34,28 +34,21 @@ def in_place_of_function(
     if not there:
         return None
     best = min(there, key=lambda one: one.found.cost)
-    gone = without_terms(refits, best)
-    if gone is None:
-        return None
-    members = sorted(k for own in families.values() for k in own)
-    step = one_step(gone, screened.candidates, refits.path.levels, members)
-    terms = set(best.setup.terms)
-    values = {name: value for name, value in best.found.values.items() if name not in terms}
-    return None if step is None else (step, Start(values, best.found.initial), best.found.cost)
-
-
-def without_terms(refits: Refits, best: Whole) -> NullModel | None:
-    """The model along the motion of one with a function, without it: what that does to the outputs is to be explained
-    along with the residual; None where its slopes fail."""
     model, terms = best.setup.model, set(best.setup.terms)
     names = [state.name for state in model.states]
+    values = {name: value for name, value in best.found.values.items() if name not in terms}
     first = {record: np.array([own[n] for n in names]) for record, own in best.found.initial.items()}
     try:
         with np.errstate(all="ignore"):
             null = null_at(model, refits.refitter.data, best.setup.parameters, best.null.values, first)
     except FAILURES:
         return None
-    return _without(null, terms)
+    gone = _without(null, terms)
+    if gone is None:
+        return None
+    members = sorted(k for own in families.values() for k in own)
+    step = one_step(gone, screened.candidates, refits.path.levels, members)
+    return None if step is None else (step, Start(values, best.found.initial), best.found.cost)
 
 
 def _without(null: NullModel, terms: set[str]) -> NullModel | None:

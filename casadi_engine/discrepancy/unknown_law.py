@@ -84,6 +84,7 @@ class UnknownLaw:
     price : the part of the log that is paid for further names, not told by the data
     others : the functions that come first, the most probable one among them
     rivals : functions that the data do not tell from the most probable one, the best first
+    unheard : functions that were begun beside one of time, and whose refits did not arrive
     imitators : how many of the effects do nothing beside the function: one name that comes near is worth keeping,
         several that together imitate a function are not
     """
@@ -98,6 +99,7 @@ class UnknownLaw:
     imitators: int = 0
     others: tuple[Family, ...] = ()
     rivals: tuple[Family, ...] = ()
+    unheard: tuple[Family, ...] = ()
 
     @property
     def is_beside(self) -> bool:

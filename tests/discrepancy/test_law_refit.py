@@ -105,7 +105,7 @@ def test_windows_double_up_to_the_whole_record():
     problem = law_race.RefitProblem(
         stage(), (data,), stage().parameters().unconstrained(), levels={"theta": LEVEL}
     )
-    *lengths, whole = law_race.horizons_of(problem)
+    *lengths, whole = law_race._horizons(problem)
     assert whole is None
     assert np.allclose(np.diff(np.log2(lengths)), 1)
     assert lengths[-1] >= data.span[1] / 2 > lengths[0]

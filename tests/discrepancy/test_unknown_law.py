@@ -219,6 +219,13 @@ def test_laws_that_the_data_do_not_tell_apart_are_named_together():
         "an unknown torque at engine that depends on its speed and looks cubic, or the input T acts as another "
         "function of its value: far more probable than drag at engine"
     )
+    # a sensor that drifts was the answer where no refit of a spring had arrived
+    course = SimpleNamespace(family=time, looks_like={})
+    words = in_place_of(last, UnknownLaw(course, 9.5, 0.5, unheard=(speed,))).sentence
+    assert words.startswith(
+        "an unknown torque at engine that depends on time, or an unknown torque at engine that depends on its speed, "
+        "which was not followed to its end: far more probable"
+    )
 
 
 @pytest.mark.parametrize(
