@@ -256,8 +256,6 @@ class Answer:
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             first = law if looked else self._law(held, near)
-            if first is None and found:  # what slopes with the effects do not tell, those without them do
-                first = self._law(null, near)
             others = () if first is None else first.others
             told_by = partial(refitted_law, others=others, fresh=self.portion.fresh)
             again = self._law(held, told_by, "refitted law")

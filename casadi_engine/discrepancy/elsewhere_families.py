@@ -75,7 +75,7 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
     made: dict[str, Signal] = {
         name: Signal(name, symbol, along(null, symbol)) for name, symbol in [*every, (TIME, model.t)]
     }
-    unused = unused_inputs(model)
+    unused = model.unused_inputs
     found = []
     for port in model.ports:
         if port.kind == "parameter" and "." not in port.parameter and _acts(model, port):
@@ -89,19 +89,13 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
     return found
 
 
-def unused_inputs(model: Model) -> list[str]:
-    """The inputs that were recorded and act on nothing: something may act by them, and a sensor may feel them."""
-    acting = ca.vertcat(model.ode, model.laws, model.drive_expressions, model.output_expressions, ca.SX(0))
-    return [u.name for k, u in enumerate(model.inputs) if not ca.depends_on(acting, model.u[k])]
-
-
 def unused_everywhere(model: Model, free: Collection[str]) -> list[Family]:
     """Functions of the inputs that act on nothing, at every port at which something may act and in the place of every
     free parameter that the equations have: who records an input expects that it matters."""
     blank = np.array([0.0, 1.0])
     may = [one.name for one in model.ports if one.slot is not None]
     may += [p.name for p in model.ports if p.kind == "parameter" and p.parameter in free and _acts(model, p)]
-    return [smooth_family(port, name, blank) for name in unused_inputs(model) for port in may]
+    return [smooth_family(port, name, blank) for name in model.unused_inputs for port in may]
 
 
 def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.SX]]) -> set[str]:

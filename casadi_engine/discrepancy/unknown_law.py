@@ -182,7 +182,7 @@ def unknown_law(
         return None
     if refits.levels.memory and random is None:
         of_effects = digest(null, priors, held=held, choices=choices)
-        _held_to_colour(found, null, of_effects, frozenset(own), refits.levels)
+        _held_to_colour(found, null, of_effects, frozenset(own))
     best = max(found, key=lambda one: one.log)
     # that it is any of them
     price = (len(effects) - 1) * further
@@ -235,18 +235,12 @@ def _rival(beside: NullModel, made: Digest, family: Family, levels: Levels) -> R
     return Rival(float(np.logaddexp.reduce(logs)) - math.log(len(SIZES)), family, beside, made, sized)
 
 
-def _held_to_colour(
-    found: Sequence[Rival], null: NullModel, effects: Digest, own: frozenset[str], levels: Levels
-) -> None:
-    """Let functions have the odds beside the noise that they leave themselves, where these are better: the most
-    probable ones, and those that leave least, as what comes first beside colour says little where it is the colour that
-    they explain; of those of what a port itself knows, and of the others."""
-    white = Levels(levels.sigma)
+def _held_to_colour(found: Sequence[Rival], null: NullModel, effects: Digest, own: frozenset[str]) -> None:
+    """Let the most probable functions have the odds beside the noise that they leave themselves, where these are
+    better: of those of what a port itself knows, and of the others, as what comes first beside colour says little."""
     for far in (False, True):
-        kind = [one for one in found if one.far is far]
-        first = sorted(kind, key=lambda one: -one.log)[:_COLOURED]
-        first += sorted(kind, key=lambda one: evidence(one.largest, white).cost)[:_COLOURED]
-        for one in {id(one): one for one in first}.values():
+        kind = sorted((one for one in found if one.far is far), key=lambda one: -one.log)
+        for one in kind[:_COLOURED]:
             one.log = max(one.log, with_own_colour(one, null, effects, own) - one.price)
 
 

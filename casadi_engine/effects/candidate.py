@@ -207,6 +207,7 @@ def candidates(
     there = set() if again else {(one.at, one.effect.name) for one in model.effects}
     free = _not_fixed(model, parameters) if free is None else free
     found: list[Candidate] = []
+    unused = model.unused_inputs
     for effect in effects:
         check_effect(effect)
         for port in ports_for(model, effect):
@@ -222,8 +223,8 @@ def candidates(
                     raise
                 _note(not_applicable_because(effect, port, fault), skipped)
                 continue
-            if port.kind == "input" and not words and _is_idle(model, port):
-                made, words = [], f"no equation depends on {port.name.partition('_')[2]}"
+            if port.kind == "input" and not words and (own := port.name.partition("_")[2]) in unused:
+                made, words = [], f"no equation depends on {own}"
             if port.parameter and not all(_has_lever(one, vector) for one in made):
                 made, words = [], f"no equation depends on {port.parameter} at these values"
             if words:
@@ -241,15 +242,6 @@ def _not_fixed(model: Model, parameters: Any) -> frozenset[str]:
 def _note(why: NotApplicable, skipped: list[NotApplicable] | None) -> None:
     if skipped is not None and why not in skipped:
         skipped.append(why)
-
-
-def _is_idle(model: Model, port: Port) -> bool:
-    """True for an input that was recorded and acts on nothing: nor does what is late, or wrong, of it."""
-    name = port.name.partition("_")[2]
-    acting = ca.vertcat(model.ode, model.laws, model.drive_expressions, model.output_expressions, ca.SX(0))
-    return not any(
-        ca.depends_on(acting, model.u[k]) for k, one in enumerate(model.inputs) if one.name == name
-    )
 
 
 def _has_lever(one: Candidate, vector: NDArray[np.float64]) -> bool:

@@ -42,8 +42,8 @@ class GroundSpring(Effect):
     """A spring between what turns or moves and the ground, −k (x − x₀): a return spring, a membrane, a weight that
     hangs, or stands, where k is negative.
 
-    x is the speed of the port added up. Where it begins, as the spring has it, is estimated with the other initial
-    states; first : where it begins at the start
+    x is the speed of the port added up. Its value where a record begins, counted from where the spring rests, is
+    estimated with the other initial states; first : the start value of that
 
     >>> GroundSpring().describe("door")
     'a spring between door and the ground'

@@ -34,7 +34,7 @@ _TIMES, _LIMITED, _PART, _OFTEN = 2, 6, 0.005, 4
 
 def faults(fit: Fit) -> tuple[str, ...]:
     """All that follows, and outputs without any noise to estimate, as they are one number everywhere; in words."""
-    found = (_constant(fit), wild_samples(fit), at_its_limit(fit), stands_still(fit))
+    found = (_constant(fit), wild_samples(fit, tails=True), at_its_limit(fit), stands_still(fit))
     return tuple(words for words in found if words is not None)
 
 
@@ -55,18 +55,21 @@ def _constant(fit: Fit) -> str | None:
     )
 
 
-def wild_samples(fit: Fit) -> str | None:
+def wild_samples(fit: Fit, *, tails: bool = False) -> str | None:
     """What to say where a few single samples hold most of the squared residuals: they decide what is fitted, and what
-    could be seen beside them. None where there are none, or the loss is one that they do not decide."""
+    could be seen beside them. None where there are none, or the loss is one that they do not decide.
+
+    tails : also of so many that they are the tails of a noise
+    """
     if fit.options.get("loss", "square") != "square":
         return None
-    found, count, cure, tails = [], 0, "", False
+    found, count, cure, many = [], 0, "", False
     for record, traces in fit.traces.items():
         for output, trace in traces.items():
-            places = _wild(trace)
+            places = _wild(trace, _MOST if tails else _RARE)
             if not len(places):
                 continue
-            count, tails = count + len(places), tails or len(places) > max(1, _RARE * trace.mask.sum())
+            count, many = count + len(places), many or len(places) > max(1, _RARE * trace.mask.sum())
             times = ", ".join(f"{time:.6g}" for time in trace.time[places[:_NAMED]])
             more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
             found.append(f"{output} of {record} at {times} s{more}")
@@ -76,7 +79,7 @@ def wild_samples(fit: Fit) -> str | None:
     one = count == 1
     sample = "1 single sample holds" if one else f"{count} single samples hold"
     those = "It decides the fit, and hides" if one else "They decide the fit, and hide"
-    if tails:
+    if many:
         cure += ', or fit with loss="huber", which bounds what each does'
     return (
         f"{sample} most of what the model leaves: {'; '.join(found[:_NAMED])}. {those} what is missing: leave "
@@ -164,10 +167,11 @@ def _longest_row(trace: Trace) -> Index | None:
     return there[first:last] if moved > _MEANWHILE * noise else None
 
 
-def _wild(trace: Trace) -> Index:
+def _wild(trace: Trace, most: float) -> Index:
     """Numbers of the samples whose residual, and not their neighbours', is far beyond the others', where they hold most
     of its squares: what an event does lasts for more than one sample, and where the output runs through its range from
-    one sample to the next, a value between its neighbours is none that its sensor made up."""
+    one sample to the next, a value between its neighbours is none that its sensor made up. most : share of the samples
+    that they are at most"""
     there = np.flatnonzero(trace.mask)
     e = trace.residual[there]
     if len(e) < _FEW:
@@ -177,7 +181,7 @@ def _wild(trace: Trace) -> Index:
     near = np.r_[False, beyond[:-1]] | np.r_[beyond[1:], False]
     single = beyond & ~near
     single &= _outside(trace, there) > _WILD * _MAD * max(float(np.median(off)), 1e-300)
-    few = single.sum() <= max(1, _MOST * len(e))
+    few = single.sum() <= max(1, most * len(e))
     return there[single] if few and off[single] @ off[single] > _DECIDE * (off @ off) else there[:0]
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,35 +61,14 @@ class Minimum:
 Steps = Generator[Array, Squares | None, Minimum | None]
 
 
-def minimise(
-    evaluate: Evaluate,
-    start: Array,
-    low: Array,
-    high: Array,
-    *,
-    fall: float,
-    steps: int = 100,
-    damping: float = _DAMPING,
-    longest: Callable[[Array], Array] = np.ones_like,
-    stop: Callable[[float], bool] = lambda _: False,
-    anew: Callable[[Array], Squares | None] = lambda _: None,
-    round_bends: bool = True,
-) -> Minimum | None:
+def minimise(evaluate: Evaluate, start: Array, low: Array, high: Array, **options: Any) -> Minimum | None:
     """A minimum within bounds from ``start`` (n,), or None where nothing can be evaluated there.
 
-    evaluate : the problem at a point, None where it has no value
-    fall : of the cost; a next step that promises less ends the search
-    damping : of the first step, as a share of the diagonal
-    longest : the longest change (n,) of each unknown in one step from a point
-    stop : sees the cost before every step; True ends the search
-    anew : the problem at a point from which a step did not fall, where it is known there more exactly by now
-    round_bends : go on along valleys that bend; not where a part of the data leads, whose valleys lead nowhere
+    evaluate : the problem at a point, None where it has no value; options : as ``steps_of`` has them
     """
-    search = steps_of(
-        start, low, high, fall=fall, steps=steps, damping=damping, longest=longest, stop=stop, anew=anew,
-        round_bends=round_bends,
-    )  # fmt: skip
-    return driven([search], lambda points: [evaluate(one) for one in points])[0]
+    return driven([steps_of(start, low, high, **options)], lambda points: [evaluate(one) for one in points])[
+        0
+    ]
 
 
 def driven(
@@ -120,7 +100,15 @@ def steps_of(
     anew: Callable[[Array], Squares | None] = lambda _: None,
     round_bends: bool = True,
 ) -> Steps:
-    """The search of ``minimise``, which asks for the problem at a point and is sent it."""
+    """A search from ``start`` (n,) within bounds, which asks for the problem at a point and is sent it.
+
+    fall : of the cost; a next step that promises less ends the search
+    damping : of the first step, as a share of the diagonal
+    longest : the longest change (n,) of each unknown in one step from a point
+    stop : sees the cost before every step; True ends the search
+    anew : the problem at a point from which a step did not fall, where it is known there more exactly by now
+    round_bends : go on along valleys that bend; not where a part of the data leads, whose valleys lead nowhere
+    """
     x = np.clip(start, low, high)
     here = yield x
     if here is None:

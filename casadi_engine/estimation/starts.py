@@ -27,9 +27,8 @@ _HALVINGS = 10
 _NODE_STEPS, _SMALL, _DAMPING, _HINDER, _BLIND = 10, 1e-2, 1e-2, 6.0, 1e-6
 # Times that gaps between intervals are closed side by side, and what is left of them, as a share of the largest state.
 _CLOSINGS, _CLOSED = 10, 1e-11
-# Difference of a run and the nodes near it, in the size of these, from which on it has left them; most numbers of nodes
-# of which the nearest trajectory is looked for.
-_LEFT, _DENSE = 1e-6, 2000
+# Difference of a run and the nodes near it, in the size of these, from which on it has left them.
+_LEFT = 1e-6
 # A start is drawn within this factor of the given one where the bounds leave more room.
 _REACH = 3.0
 # Starts that are drawn near, before every other one is drawn from all that the bounds allow, or this power of the reach
@@ -244,9 +243,10 @@ def joined_nodes(record: RecordTerm, v: Array, near: Array) -> Array:
 def _shadow(record: RecordTerm, v: Array, nodes: Array) -> Array | None:
     """The trajectory nearest to nodes (M, n), whose start moves too, by less than its digits say; None where the gaps
     do not close."""
+    from scipy import sparse
+    from scipy.sparse.linalg import spsolve
+
     count, n = nodes.shape
-    if count * n > _DENSE:
-        return None
     for _ in range(_CLOSINGS):
         path = record.propagator.propagate(v[record.active], nodes, 1)
         gaps = path.end.T[:-1] - nodes[1:]
@@ -254,13 +254,15 @@ def _shadow(record: RecordTerm, v: Array, nodes: Array) -> Array | None:
             return None
         if np.abs(gaps).max() <= _CLOSED * max(1.0, float(np.abs(nodes).max())):
             return nodes
-        ends = np.broadcast_to(path.end_s, (count, n, n))
-        rows = np.zeros(((count - 1) * n, count * n))
-        for k in range(count - 1):
-            own = slice(k * n, (k + 1) * n)
-            rows[own, own] = -ends[k]
-            rows[own, (k + 1) * n : (k + 2) * n] = np.eye(n)
-        nodes = nodes + np.linalg.lstsq(rows, gaps.ravel(), rcond=None)[0].reshape(nodes.shape)
+        # of all changes that close the gaps, to first order, the smallest
+        ends = np.broadcast_to(path.end_s, (count, n, n))[:-1]
+        blocks = np.stack([-ends, np.broadcast_to(np.eye(n), ends.shape)], axis=1).reshape(-1, n, n)
+        index = np.arange(count - 1)
+        places = np.stack([index, index + 1], axis=1).ravel()
+        rows = sparse.bsr_array(
+            (blocks, places, 2 * np.arange(count)), shape=((count - 1) * n, count * n)
+        ).tocsr()
+        nodes = nodes + (rows.T @ spsolve((rows @ rows.T).tocsc(), gaps.ravel())).reshape(nodes.shape)
     return None
 
 

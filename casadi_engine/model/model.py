@@ -178,6 +178,12 @@ class Model:
         """True if the closed equations or outputs jump anywhere; kinks are no jumps."""
         return has_jumps(ca.vertcat(self.closed_ode, self.closed_outputs))
 
+    @cached_property
+    def unused_inputs(self) -> tuple[str, ...]:
+        """The inputs that were recorded and act on nothing: something may act by them, and a sensor may feel them."""
+        acting = ca.vertcat(self.ode, self.laws, self.drive_expressions, self.output_expressions, ca.SX(0))
+        return tuple(u.name for k, u in enumerate(self.inputs) if not ca.depends_on(acting, self.u[k]))
+
     # ---- effects
 
     def with_effect(

@@ -124,7 +124,7 @@ def posterior(
     tell, said = _teller(progress, target)
     try:
         modes, drawn = _found(target, fit, method, count, seed, most, tell)
-    except FloatingPointError as error:
+    except (FloatingPointError, np.linalg.LinAlgError) as error:
         raise _improper(f"the model has no value there: {error}") from None
     except KeyboardInterrupt:
         raise UntrustedPosteriorError(

@@ -279,13 +279,15 @@ def machine_ends(sweeps: Sweeps, z: Array, first: Array) -> tuple[NDArray[np.int
 
 def _machine_points(slope: StageSlope, scheme: Tableau, size: int, points: int) -> ca.Function:
     """So many steps at so many points, which share what is known."""
-    key = ("points", scheme.name, size, points)
-    if key not in slope.made:
+    one = ("point", scheme.name, size)
+    if one not in slope.made:
         steps = _machine_step(slope, scheme).mapaccum(size)
-        x, known, z = (ca.MX.sym("i", *steps.size_in(k)) for k in range(3))
+        x, known = (ca.MX.sym(name, *steps.size_in(k)) for k, name in enumerate(("x", "known")))
         z = ca.MX.sym("z", int(slope.z.numel()))
-        one = ca.Function("one", [x, known, z], [steps(x, known, ca.repmat(z, 1, size))])
-        slope.made[key] = one.map("points", "serial", points, [1], [])
+        slope.made[one] = ca.Function("one", [x, known, z], [steps(x, known, ca.repmat(z, 1, size))])
+    key = (*one, points)
+    if key not in slope.made:
+        slope.made[key] = slope.made[one].map("points", "serial", points, [1], [])
     return slope.made[key]
 
 

@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.effects.stiffness import GroundSpring
+from casadi_engine.model.port_view import PortView
 
 
 def door(*, place=False):
@@ -46,9 +47,15 @@ def test_a_spring_to_the_ground_pulls_back_by_the_speed_added_up():
 
 
 def test_it_begins_where_the_port_says():
-    data = swung(1, "data")
-    assert GroundSpring().fitted(ce.effects.port_view(door(place=True), "panel"), data, {}).first == 0.0
-    assert GroundSpring().fitted(ce.effects.port_view(door(), "panel"), data, {}).first == 0.0
+    def begun(model):
+        known = {"x": 0.3, "v": 0.7}
+        view = PortView(
+            model, model.ports["panel"], lambda own: [np.full(5, known[str(own)]), np.full(5, np.nan)]
+        )
+        return GroundSpring().fitted(view, swung(1, "data"), {}).first
+
+    assert begun(door(place=True)) == 0.3
+    assert begun(door()) == 0.0
 
 
 def test_nothing_that_neither_turns_nor_moves_has_one():

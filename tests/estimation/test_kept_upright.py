@@ -43,7 +43,7 @@ def ridden(samples, seed=0):
 
 
 @pytest.mark.parametrize("samples", [400, 600, 700, 1200])
-def test_records_of_any_length_are_fitted_with_errors(samples):
+def test_records_on_which_no_start_leads_are_fitted_with_errors(samples):
     """At 14 s a change of the start grows 1e16 times: of 45 fits of 12 to 24 s three had converged."""
     fit = ce.estimate(bicycle(), ridden(samples), noise=ce.Noise(y=0.004), progress=False)
     assert fit.converged
