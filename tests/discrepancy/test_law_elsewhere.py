@@ -7,7 +7,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.elsewhere_families import unused_inputs
 from casadi_engine.discrepancy.law_refit import _with_unused
 from casadi_engine.discrepancy.random_families import smooth_family
 
@@ -85,7 +84,7 @@ def test_beside_a_function_of_time_stand_those_of_inputs_that_no_equation_uses()
     assert found[:2] == [of_time, of_state]
     assert [(one.port, one.signal) for one in found[2:]] == [("parameter_G", "sun")]
     assert _with_unused(refits, [of_state]) == [of_state]
-    assert unused_inputs(rooms()) == ["sun"]
+    assert rooms().unused_inputs == ("sun",)
 
 
 def test_nothing_is_found_where_there_is_nothing():
