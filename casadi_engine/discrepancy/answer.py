@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 from casadi_engine.deadline import TimeUp
+from casadi_engine.discrepancy.all_data import AllData, along_all_data
 from casadi_engine.discrepancy.answer_words import (
     ahead,
     at_bounds,
@@ -246,6 +247,8 @@ class Answer:
         sure = unknown is not None and bool(unknown.tests) and not null.screened.request.blind
         # looked for everywhere: effects may imitate it, and what is coloured may hide it
         near = unknown_law if null.screened.request.blind else partial(unknown_law, everywhere=True)
+        every = self._in_time("unknown law", lambda: self._along_all(claim)) if found else None
+        near = near if every is None else partial(near, along=every)
         held = claim.nearest or last  # effects that leave too much are still nearer than none
         looked = bool(found) or sure or (unknown is None and coloured)
         law = self._law(held, near) if looked else None
@@ -290,6 +293,15 @@ class Answer:
         return (
             kept if kept is not None and kept.found else claim.withdrawn_for(claim.unknown, null, BEHIND_LAW)
         )
+
+    def _along_all(self, claim: Claim) -> AllData | None:
+        """All data, where fresh ones confirm effects: a law of no name may do what these imitate, which the data of the
+        search alone do not tell."""
+        proof = claim.proof
+        tried = self.search.pool.get(key_of(claim.last.effects))
+        if tried is None or proof.judgement is None or not proof.judgement.confirmed:
+            return None
+        return along_all_data(self.search.refits, tried, self.portion.fresh, proof.before, proof.after)
 
     def _without_last(self, claim: Claim) -> Claim | None:
         """The claim without the effect that was found last: one that comes near to a law of no name says more than

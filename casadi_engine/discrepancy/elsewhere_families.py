@@ -34,6 +34,9 @@ from casadi_engine.simulation.candidate_sensitivities import slot_direction
 
 # Terms of a function at a look, and of one that is held against others; how many are.
 _LOOK, _TERMS, _KEPT = 3, 6, 8
+# Chi-squared below which a function does no more than its constant: chance makes as much of its other terms in one
+# of 20.
+_CONSTANT = 6.0
 # Numbers that are one but for rounding.
 _ALIKE = 1e-9
 # Numbers of the terms of functions that are looked at together.
@@ -46,10 +49,12 @@ def elsewhere(null: NullModel, levels: Levels) -> tuple[list[Candidate], list[Fa
     if not places:
         return [], [], 0
     at_once = max(_AT_ONCE // (_LOOK * null.count), 1)
-    drops = np.concatenate(
-        [_drops(null, levels, places[k : k + at_once]) for k in range(0, len(places), at_once)]
-    )
-    best = np.argsort(-drops)[:_KEPT]
+    looks = [_drops(null, levels, places[k : k + at_once]) for k in range(0, len(places), at_once)]
+    drops, beyond = (np.concatenate(own) for own in zip(*looks, strict=True))
+    order = np.argsort(-drops)
+    # what a constant does all of it does, by whatever signal: one of these says as much as all
+    plain = [k for k in order if beyond[k] < _CONSTANT][1:]
+    best = [k for k in order if k not in plain][:_KEPT]
     return *_terms(null, [places[k] for k in best], _TERMS), len(places)
 
 
@@ -167,8 +172,9 @@ def _terms(
     return candidates, families
 
 
-def _drops(null: NullModel, levels: Levels, places: Sequence[tuple[Port, Signal]]) -> Array:
-    """What each function takes off chi-squared at most, beside all parameters and first states."""
+def _drops(null: NullModel, levels: Levels, places: Sequence[tuple[Port, Signal]]) -> tuple[Array, Array]:
+    """What each function takes off chi-squared at most, beside all parameters and first states; and what of it is
+    beyond that of its constant."""
     candidates, families = _terms(null, places, _LOOK)
     columns = family_columns(null, candidates)
     n, kept = null.turn.shape[1], []
@@ -186,4 +192,9 @@ def _drops(null: NullModel, levels: Levels, places: Sequence[tuple[Port, Signal]
     whole = np.concatenate(kept)
     left = without(basis(whole[:, :n]), whole[:, n:])
     e = left[:, -1]
-    return np.array([float(((basis(left[:, list(f.members)]).T @ e) ** 2).sum()) for f in families])
+    own = [left[:, list(f.members)] for f in families]
+    drops, constants = (
+        np.array([float(((basis(one).T @ e) ** 2).sum()) for one in terms])
+        for terms in (own, [one[:, : not (f.cycle or f.order)] for one, f in zip(own, families, strict=True)])
+    )
+    return drops, drops - constants

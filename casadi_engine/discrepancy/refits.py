@@ -79,8 +79,10 @@ class Tried:
     root of what chi-squared rises by where it is put to zero, of those whose slopes say that they are nothing: of an
     overflow that is as fast as it likes the slope is nearly none; courses : what its events are held against;
     is_gradual : one of them is far less probable than something that comes gradually; cancels : effects at one port
-    work against each other; lost : the samples that late sensors cannot tell of; beside : what the most probable
-    structure without them is by all samples, and by those that this one can tell of
+    work against each other; outdone : the model without effects leaves less, or another structure that is far more
+    probable by the samples: a wrong way is smooth, and foretells itself; lost : the samples that late sensors cannot
+    tell of; beside : what the most probable structure without them is by all samples, and by those that this one can
+    tell of
     """
 
     effects: tuple[Addition, ...]
@@ -97,6 +99,7 @@ class Tried:
     cancels: bool = False
     lost: Samples = field(default_factory=dict)
     beside: tuple[Counted, Counted] | None = None
+    outdone: bool = False
 
     @property
     def is_curve(self) -> bool:
@@ -156,8 +159,8 @@ class Tried:
     def counted(self) -> float:
         """The log evidence of the records alone."""
         none = self.pool().get(frozenset())
-        if self.own is None or none is None or none.own is None or self.arrived.cost > none.arrived.cost:
-            return self.evidence.log  # a wrong way is smooth, and foretells itself
+        if self.own is None or none is None or none.own is None or self.outdone:
+            return self.evidence.log
         return max(self.evidence.log, none.evidence.log + self.own - none.own)
 
     @property
@@ -416,6 +419,14 @@ class Refits:
                 self._hold_late([one])
                 one.weigh(self.levels)
                 one.own = self._alone(one) if self.levels.memory else None
+            for one in every:
+                one.outdone = one.own is not None and self._is_outdone(one)
+
+    def _is_outdone(self, one: Tried) -> bool:
+        """See ``Tried.outdone``."""
+        less = [t for t in self.pool.values() if t.arrived.cost < one.arrived.cost and not t.failed]
+        least = one.evidence.log + math.log(FACTOR)
+        return any(not t.key or (not t.key <= one.key and t.evidence.log > least) for t in less)
 
     def _left_by(self, tried: Tried) -> tuple[NullModel, Levels]:
         """The residuals of a structure, and the noise that it leaves."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from casadi_engine.discrepancy.all_data import AllData
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.elsewhere_families import elsewhere, functions_of
 from casadi_engine.discrepancy.evidence import (
@@ -140,19 +141,20 @@ def near_of(tried: Tried, port: str) -> float:
 
 
 def unknown_law(
-    refits: Refits, tried: Tried, further: float, *, everywhere: bool = False
+    refits: Refits, tried: Tried, further: float, *, everywhere: bool = False, along: AllData | None = None
 ) -> UnknownLaw | None:
     """The most probable function of one signal in the place of a structure's effects; None where it cannot be told.
 
     further : what a further effect has to gain in log probability; everywhere : look at parameters that are not
-    constant, and at what acts by the signals of others, too
+    constant, and at what acts by the signals of others, too; along : the structure along all data, where these are to
+    tell, not those of the search alone
     """
-    null = refits.null(tried)
+    null = refits.null(tried) if along is None else along.null
     if null is None:
         return None
     effects = tried.effects
     priors = priors_of(null, refits.path.parameters(effects), effects)
-    random = refits.random(null)
+    random = refits.random(null) if along is None else None
     choices = float(np.prod([one.choices for one in effects]))
     held = tried.arrived.held
     named = evidence(digest(null, priors, random=random, held=held, choices=choices), refits.levels)
@@ -162,7 +164,7 @@ def unknown_law(
     bare = without_effects(null, [one.amplitude for one in effects], own)
     if bare is None or not math.isfinite(named.log):
         return None
-    none = refits.pool[frozenset()].evidence.cost
+    none = refits.pool[frozenset()].evidence.cost + (0.0 if along is None else along.without)
     linear = evidence(bare_digest(bare, priors, others, random), refits.levels).cost
     if effects and not is_told(linear, named.cost, none):
         return None

@@ -178,7 +178,7 @@ def what_acts(model: Model, port: str) -> tuple[str, str]:
     own = next((one for one in model.declarations if port == f"parameter_{one.name}"), None)
     if own is not None:
         return f"change of parameter {own.name}", own.unit
-    if port not in (*model.ports.names, *(link.name for link in model.ports.links)):
+    if port not in (*model.ports.names, *(own.name for own in model.ports.unlisted)):
         return "torque", "N m"
     known = model.ports[port]
     kind, _, name = port.partition("_")

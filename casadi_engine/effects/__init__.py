@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         ViscousFriction,
     )
     from casadi_engine.effects.functions import Sharp, Smooth
-    from casadi_engine.effects.inputs import InputDelay, InputGain, InputLag, InputOffset
+    from casadi_engine.effects.inputs import InputDelay, InputGain, InputLag, InputOffset, InputPath
     from casadi_engine.effects.library import library
     from casadi_engine.effects.parameter import WrongValue
     from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
@@ -58,6 +58,7 @@ __all__ = [
     "InputGain",
     "InputLag",
     "InputOffset",
+    "InputPath",
     "Law",
     "LoadStep",
     "Misfire",
@@ -101,7 +102,7 @@ import_at_first_use(
         ),
         "casadi_engine.effects.library": ("library",),
         "casadi_engine.effects.parameter": ("WrongValue",),
-        "casadi_engine.effects.inputs": ("InputDelay", "InputGain", "InputLag", "InputOffset"),
+        "casadi_engine.effects.inputs": ("InputDelay", "InputGain", "InputLag", "InputOffset", "InputPath"),
         "casadi_engine.effects.sensor": (
             "SensorDelay",
             "SensorGain",

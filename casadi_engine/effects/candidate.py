@@ -394,7 +394,7 @@ def responses(model: Model, port: Port, value: Any) -> tuple[Any, Any, Any, Any]
     value, arrives = ca.vertsplit(value)
     if takes_torque(port) or port.ends:
         rows = [made.name for made in model.ports.with_slot]
-        parts = (-value, arrives) if port.ends else (value,)
+        parts = (-value, arrives) if len(port.ends) > 1 else (value,)
         for name, part in zip(port.ends or (port.name,), parts, strict=True):
             slots[rows.index(name)] = part
         return slots, drives, outputs, None

@@ -53,6 +53,34 @@ class InputGain(SensorGain):
 
 
 @dataclass(frozen=True)
+class InputPath(Effect):
+    """An input that acts at a further port, in proportion: gain u, as a force of which a part is taken by a neighbour,
+    or the sun on a wall that the model has not.
+
+    It acts at a path, ``u_to_a`` from the input u to the port a. Looked at are inputs of the unit of what acts there,
+    and those that no equation uses: who records one expects that it matters.
+
+    >>> InputPath().describe("sun_to_room")
+    'the input sun acts at room'
+    """
+
+    name = "input_path"
+    attaches = ("path",)
+    kin = ("input_gain", "constant_torque", "viscous_friction")
+    sentence = "the input {port}"
+    amplitude = Amplitude("gain", unit="N m/rad")
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """gain u."""
+        del math
+        return p.gain * port.input
+
+    def _called(self, port: str) -> str:
+        """Both ends."""
+        return port.replace("_to_", " acts at ", 1)
+
+
+@dataclass(frozen=True)
 class _Behind(Effect):
     """An input of which a share acts behind what is recorded.
 

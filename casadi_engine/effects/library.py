@@ -10,7 +10,7 @@ from casadi_engine.effects.friction import (
     StribeckFriction,
     ViscousFriction,
 )
-from casadi_engine.effects.inputs import InputDelay, InputGain, InputLag, InputOffset
+from casadi_engine.effects.inputs import InputDelay, InputGain, InputLag, InputOffset, InputPath
 from casadi_engine.effects.parameter import WrongValue
 from casadi_engine.effects.protocol import Effect
 from casadi_engine.effects.sensor import (
@@ -60,6 +60,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         InputOffset(),
         InputLag(),
         InputDelay(),
+        InputPath(),
         Transfer(),
         Overflow(),
         WrongValue(),

@@ -26,6 +26,7 @@ PORT_KINDS: Mapping[str, bool] = MappingProxyType(
         "parameter": False,
         "link": False,
         "pipe": False,
+        "path": False,
     }
 )
 # The kinds of ports that effects may attach to; those of the library leave internal ones alone.

@@ -45,6 +45,9 @@ def attach(
     wider = _with_states(wider, term)
     if takes_torque(term.port):
         wider = _with_torque(wider, term)
+    elif term.port.kind == "path":
+        (end,) = term.port.ends
+        wider = _with_torque(wider, replace(term, port=wider.ports[end]))
     elif term.port.ends:
         first, second = term.port.ends
         wider = _with_torque(wider, replace(term, port=wider.ports[first], value=-term.value))

@@ -398,8 +398,8 @@ class Blueprint:
             self._ports, [*units, (self._time, "s")], odes, stated=self._stated, may_lack=may_lack, per=per
         )
         added = [
-            Port(f"input_{name}", "input", f"channel {name}", {"value": symbol})
-            for name, (_, symbol) in self._inputs.items()
+            Port(f"input_{name}", "input", f"channel {name}", {"value": symbol}, units=_of(one.unit))
+            for name, (one, symbol) in self._inputs.items()
         ]
         added += [Port(f"sensor_{name}", "sensor", f"output {name}") for name in self._outputs]
         added += [
@@ -416,6 +416,11 @@ class Blueprint:
         for group in (self._states, self._inputs, self._parameters):
             if name in group:
                 raise _repeated(kind, name)
+
+
+def _of(unit: str) -> dict[str, str]:
+    """The unit of a port's value, where it was stated."""
+    return {} if unit == NOT_STATED else {"value": unit}
 
 
 def _scalar(what: str, expression: Any) -> Any:

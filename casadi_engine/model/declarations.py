@@ -119,7 +119,7 @@ class Port:
         first side, and its opposite on the other.
     unit : of the slot
     ends : names of the two ports that a link or pipe joins; what an effect adds there leaves the first and enters the
-        second
+        second; of a path the port at which it acts
     units : signal -> its unit, of those whose unit is known
     why_no_unit : why the unit of the slot is not stated, where the equations leave it open
     """
@@ -230,8 +230,8 @@ class Port:
 
     @property
     def _place(self) -> str | None:
-        """The unit of what an effect reads as twist."""
-        return next((self.units[n] for n in ("twist", "angle") if n in self.units), None)
+        """The unit of what an effect reads as twist, or at a path."""
+        return next((self.units[n] for n in ("twist", "angle", "input") if n in self.units), None)
 
     @property
     def quantity(self) -> str:
@@ -330,6 +330,30 @@ class Ports(Sequence[Port]):
                 found.append(Port("_and_".join(ends), kind, words, signals, None, a.unit, ends, units))
         return tuple(found)
 
+    @cached_property
+    def paths(self) -> tuple[Port, ...]:
+        """A path ``u_to_a`` from every input u to every inertia a, with the signal ``input``, which is u. Paths are
+        found by name, as links are, and are not listed among the ports."""
+        able = [port for port in self.with_slot if port.kind == "inertia"]
+        found = []
+        for one in self._ports:
+            if one.kind == "input" and "value" in one.signals:
+                name = one.name.removeprefix("input_")
+                signals, known = {"input": one.signals["value"]}, one.units.get("value")
+                units = {} if known is None else {"input": known}
+                for a in able:
+                    words = f"{name} acts at {a.name}"
+                    end = (a.name,)
+                    found.append(
+                        Port(f"{name}_to_{a.name}", "path", words, signals, None, a.unit, end, units)
+                    )
+        return tuple(found)
+
+    @property
+    def unlisted(self) -> tuple[Port, ...]:
+        """Links and paths."""
+        return (*self.links, *self.paths)
+
     @overload
     def __getitem__(self, key: int | str) -> Port: ...
     @overload
@@ -338,9 +362,9 @@ class Ports(Sequence[Port]):
         if isinstance(key, int | slice):
             return self._ports[key]
         if key not in self._by_name:
-            link = next((port for port in self.links if port.name == key), None)
-            if link is not None:
-                return link
+            found = next((port for port in self.unlisted if port.name == key), None)
+            if found is not None:
+                return found
             raise ModelError(
                 "the model has no such port",
                 seen=repr(key),

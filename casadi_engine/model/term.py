@@ -16,6 +16,7 @@ from casadi_engine.effects.protocol import PORT_KINDS, Effect, Grid, check_effec
 from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import ParameterDeclaration, Port
 from casadi_engine.model.law_checks import OwnState, check_null, check_symbols, check_units, read_law
+from casadi_engine.model.paths import is_further
 from casadi_engine.model.port_view import MissingSignalError, PortView, TrialView, Values
 from casadi_engine.parameters import near_matches
 
@@ -139,10 +140,16 @@ def check_side(model: Model, port: Port) -> None:
 
 
 def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:
-    """The ports of the kinds that an effect attaches to, in model order; last the links that no coupling joins."""
+    """The ports of the kinds that an effect attaches to, in model order; last the links that no coupling joins, and the
+    paths that there may be."""
     links = [link for link in model.ports.links if link.kind in effect.attaches]
     listed = (port for port in model.ports if port.kind in effect.attaches)
-    return (*listed, *(link for link in links if not joined(model, link)))
+    paths = model.ports.paths if "path" in effect.attaches else ()
+    return (
+        *listed,
+        *(link for link in links if not joined(model, link)),
+        *(path for path in paths if is_further(model, path)),
+    )
 
 
 def joined(model: Model, link: Port) -> bool:
@@ -169,7 +176,7 @@ def ports_for(model: Model, effect: Any) -> tuple[Port, ...]:
 def find_port(model: Model, effect: Any, at: Any) -> Port:
     """The port `at`; EffectError that lists the right ports if it does not exist or does not fit."""
     name = at.name if isinstance(at, Port) else at
-    if name not in model.ports.names and name not in [link.name for link in model.ports.links]:
+    if name not in model.ports.names and name not in [own.name for own in model.ports.unlisted]:
         right = [port.name for port in ports_for(model, effect)]
         raise EffectError(
             f"{effect.name} is to act at a port that the model {model.name} does not have",

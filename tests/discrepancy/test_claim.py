@@ -315,6 +315,7 @@ def test_a_law_that_explains_most_of_fresh_data_stays_beside_one_that_is_more_pr
     monkeypatch.setattr(answer, "_said", lambda *_, **__: Unknown("a function of speed", {}))
     monkeypatch.setattr(Claim, "withdrawn_for", lambda *_: "withdrawn")
     own = stub(_law=lambda *_: law, _is_far=lambda _: False, _in_time=lambda _, work: work(), _rare=1e-3)
+    own._along_all = lambda *_: None
     own.portion = stub(fresh=())
     claim.last.effects = ()
     own._imitators = lambda *_: 0

@@ -1,0 +1,41 @@
+"""Paths: an input of a model that may act at a further port."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.experiment.units import NOT_STATED, read_unit
+from casadi_engine.model.declarations import Port
+
+if TYPE_CHECKING:
+    from casadi_engine.model.model import Model
+
+# Columns that are one but for rounding.
+_ALIKE = 1e-9
+
+
+def is_further(model: Model, path: Port) -> bool:
+    """True if an input may act at a port beside what it does in the model: it is of the unit of what acts there, or was
+    recorded and acts on nothing; and does not act there alone, where that would be a wrong gain of it."""
+    (symbol,) = ca.symvar(path.signals["input"])
+    name = symbol.name()
+    if name in model.unused_inputs:
+        return True
+    if path.unit == NOT_STATED or path.units.get("input") in (None, NOT_STATED):
+        return False
+    own, acts = read_unit(path.units["input"]), read_unit(path.unit)
+    if own.exponents != acts.exponents:
+        return False
+    by_input = ca.jacobian(model.closed_ode, symbol)
+    by_slot = ca.jacobian(model.ode, model.ports[path.ends[0]].slot)
+    unknown = [model.x, model.u, model.d, model.w, model.t]
+    values = ca.vertcat(*[one.value for one in model.declarations])
+    look = ca.Function("look", [*unknown, model.p], [ca.horzcat(by_input, by_slot)])
+    rng = np.random.default_rng(0)
+    found = np.array(look(*(rng.uniform(0.5, 1.5, one.numel()) for one in unknown), values))
+    return bool(
+        np.linalg.matrix_rank(found / np.maximum(np.linalg.norm(found, axis=0), 1e-300), tol=_ALIKE) > 1
+    )
