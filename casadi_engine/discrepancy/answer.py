@@ -70,6 +70,7 @@ from casadi_engine.discrepancy.repaired import (
     REFUSED,
     TOO_LITTLE,
     UNCONFIRMED,
+    UNJUDGED,
     FoundEffect,
     Gaps,
     NextExperiment,
@@ -141,6 +142,8 @@ class Answer:
         claim = self._claimed(proof, last)
         null = self.search.null  # in the colour of its noise by now
         claim = self._held_to_laws(claim, null)
+        if self._is_unjudged(claim):
+            claim = claim.withdrawn_for(claim.unknown, null, UNJUDGED)
         if claim.found and claim.unknown is None:
             claim = replace(claim, unknown=self._behind_a_filter(claim) or more_than_stated(claim.last))
         found, last, proof = claim.found, claim.last, claim.proof
@@ -232,6 +235,14 @@ class Answer:
         return (
             unknown.course is not None and unknown.port in ports and refits.rounding_felt(last.effects) != 0.0
         )
+
+    def _is_unjudged(self, claim: Claim) -> bool:
+        """True where effects leave more than noise, and the time was up before fresh data could say what they are
+        worth; what rounded corners leave has its own word."""
+        cut = TIME_UP in self.search.failed.values() and claim.proof.judgement is None
+        if not (claim.found and claim.unknown and self.portion.fresh and cut):
+            return False
+        return not self._may_be_rounding(claim.last, claim.unknown)
 
     def _behind_a_filter(self, claim: Claim) -> Unknown | None:
         search = self.search

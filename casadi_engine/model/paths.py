@@ -20,8 +20,9 @@ _ALIKE = 1e-9
 def is_further(model: Model, path: Port) -> bool:
     """True if an input may act at a port beside what it does in the model: it is of the unit of what acts there, or was
     recorded and acts on nothing; and does not act there alone, where that would be a wrong gain of it."""
-    (symbol,) = ca.symvar(path.signals["input"])
-    name = symbol.name()
+    (end,) = path.ends
+    name = path.name.removesuffix(f"_to_{end}")
+    symbol = model.u[[one.name for one in model.inputs].index(name)]
     if name in model.unused_inputs:
         return True
     if path.unit == NOT_STATED or path.units.get("input") in (None, NOT_STATED):
@@ -30,9 +31,10 @@ def is_further(model: Model, path: Port) -> bool:
     if own.exponents != acts.exponents:
         return False
     by_input = ca.jacobian(model.closed_ode, symbol)
-    by_slot = ca.jacobian(model.ode, model.ports[path.ends[0]].slot)
+    by_slot = ca.jacobian(model.ode, model.ports[end].slot)
     unknown = [model.x, model.u, model.d, model.w, model.t]
-    values = ca.vertcat(*[one.value for one in model.declarations])
+    missing = {one.amplitude for one in model.effects}  # what they add is no part of what the input does
+    values = ca.vertcat(*[0.0 if one.name in missing else one.value for one in model.declarations])
     look = ca.Function("look", [*unknown, model.p], [ca.horzcat(by_input, by_slot)])
     rng = np.random.default_rng(0)
     found = np.array(look(*(rng.uniform(0.5, 1.5, one.numel()) for one in unknown), values))

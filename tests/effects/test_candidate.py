@@ -291,7 +291,7 @@ def test_the_library_by_name():
         "sensor_lag",
             "sensor_gain",
         "input_gain",
-        "input_offset", "input_lag", "input_delay",
+        "input_offset", "input_lag", "input_delay", "input_path",
         "transfer",
         "overflow",
         "wrong_value",

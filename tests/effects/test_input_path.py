@@ -1,0 +1,106 @@
+"""An input that acts at a further port: where it is offered, its unit, and a side force that a model lacks."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+from casadi_engine.effects import InputPath, ports_for
+from casadi_engine.errors import EffectError
+
+TIME = np.arange(600) * 0.1
+
+
+def bridge(unit="N"):
+    """A deck that a force excites, with an absorber on it."""
+    b = ce.Blueprint("bridge")
+    big, small = b.parameter("M", 200.0, unit="kg", vary=False), b.parameter("m", 10.0, unit="kg", vary=False)
+    k = b.parameter("k", 70.0, unit="N/m", min=1)
+    c = b.parameter("c", 6.0, unit="N s/m", min=0.1)
+    x, v, y, w = (b.state(name, unit=u) for name, u in (("x", "m"), ("v", "m/s"), ("y", "m"), ("w", "m/s")))
+    force = b.input("F", unit=unit)
+    deck, absorber = b.port("deck", "inertia", {"speed": v}), b.port("absorber", "inertia", {"speed": w})
+    between = k * (x - y) + c * (v - w)
+    b.ode("x", v)
+    b.ode("v", (force - 1500 * x - 20 * v - between + deck) / big)
+    b.ode("y", w)
+    b.ode("w", (between + absorber) / small)
+    b.output("speed", v, unit="m/s")
+    return b.model()
+
+
+def force(t, phase):
+    return 100 * (np.sin(2.1 * t + phase) + np.sin(2.9 * t + 2 * phase) + np.sin(0.7 * t))
+
+
+def run(seed, gain):
+    """By SciPy; so much of the force acts at the absorber."""
+
+    def rate(t, z):
+        x, v, y, w = z
+        f = np.interp(t, TIME, force(TIME, seed))
+        between = 80.0 * (x - y) + 5.0 * (v - w)
+        return [v, (f - 1500 * x - 20 * v - between) / 200, w, (between + gain * f) / 10]
+
+    z = solve_ivp(rate, (0, TIME[-1]), [0, 0, 0, 0], t_eval=TIME, rtol=1e-9, atol=1e-12, max_step=0.1).y
+    noise = 0.004 * np.random.default_rng(seed).standard_normal(len(TIME))
+    units = {"F": "N", "speed": "m/s"}
+    return ce.Experiment.from_arrays(
+        f"run {seed}", time=TIME, units=units, F=force(TIME, seed), speed=z[1] + noise
+    )
+
+
+def room(unit="W/m2"):
+    b = ce.Blueprint("room")
+    capacity = b.parameter("C", 1e5, unit="J/K", min=1e3)
+    b.input("sun", unit=unit)
+    heater, ambient = b.input("P", unit="W"), b.input("Ta", unit="K")
+    temperature = b.state("T", unit="K")
+    slot = b.port("air", "inertia", {"speed": temperature - ambient}, unit="W")
+    b.ode("T", (heater - 80 * (temperature - ambient) + slot) / capacity)
+    b.output("shown", temperature, unit="K")
+    return b.model()
+
+
+def test_it_is_offered_to_inputs_of_the_unit_of_what_acts_there_and_to_those_that_act_on_nothing():
+    def offered(model):
+        return [port.name for port in ports_for(model, InputPath())]
+
+    assert offered(bridge()) == ["F_to_absorber"]  # at the deck it is a wrong gain of the input
+    assert offered(bridge("kN")) == ["F_to_absorber"]
+    assert offered(bridge("m/s")) == []
+    assert offered(bridge("-")) == []
+    assert offered(room()) == ["sun_to_air"]
+    wider = bridge().with_effect(InputPath(), at="F_to_absorber", values={"gain": 0.5})
+    assert "F_to_deck" not in offered(wider)
+    assert "F_to_absorber" not in bridge().ports.names
+    with pytest.raises(
+        EffectError, match="input_path is to act at a port that the model bridge does not have"
+    ):
+        bridge().with_effect(InputPath(), at="F_to_nowhere")
+
+
+@pytest.mark.parametrize(
+    ("model", "at", "unit"), [(bridge(), "F_to_absorber", "1"), (room(), "sun_to_air", "m2")]
+)
+def test_its_gain_has_the_unit_of_what_acts_by_that_of_the_input(model, at, unit):
+    made = model.with_effect(InputPath(), at=at, values={"gain": 0.5})
+    assert made.parameters()[f"{at}.input_path.gain"].unit == unit
+    assert made.linear is not None
+
+
+def test_it_adds_gain_times_input_at_the_port_alone():
+    made = bridge().with_effect(InputPath(), at="F_to_absorber", values={"gain": 0.5})
+    rate = ca.Function("rate", [made.x, made.u, made.t, made.p], [made.closed_ode])
+    slope = rate(0, 8.0, 0, made.parameter_vector())
+    np.testing.assert_allclose(slope.full().ravel(), [0, 8.0 / 200, 0, 0.5 * 8.0 / 10])
+
+
+def test_a_share_of_the_force_at_the_absorber_is_named_beside_the_whole_library():
+    found = ce.repair(bridge(), run(1, 0.08), fresh=run(2, 0.08), starts=1, progress=False)
+    assert [one.key for one in found.effects] == ["F_to_absorber.input_path"], found
+    gain = found.effects[0].amplitude
+    assert found.confirmed
+    assert abs(gain.value - 0.08) < 3 * gain.stderr < 0.01
+    assert "the input F acts at absorber" in str(found)
