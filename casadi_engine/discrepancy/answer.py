@@ -265,8 +265,10 @@ class Answer:
         law = self._law(held, near) if looked else None
         far = bool(law and not held.effects and self._in_time("unknown law", lambda: self._is_far(held)))
         rival = _said(claim, held, law, far=far)
-        # near the truth the law that is linearised is told from the effects, if slopes tell; else it is refitted
-        asked = rival is not None or bool(found and law is None) or (unknown is not None and not found)
+        # near the truth the law that is linearised is told from the effects by all data, if slopes tell; else it is
+        # refitted
+        asked = (rival is not None and every is None) or bool(found and law is None)
+        asked = asked or (unknown is not None and not found)
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             first = law if looked else self._law(held, near)
@@ -543,7 +545,8 @@ def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundE
 def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict:
     if found:
         several = any(len(one.members) > 1 for one in found)
-        law = in_its_place(unknown, found)  # of no name, which is a member too
+        # of no name, which is a member too
+        law = in_its_place(unknown, found) or (unknown is not None and (unknown.odds or 0.0) >= 1)
         return "class" if several or law else "named"
     return "nothing missing" if unknown is None else "unnamed"
 

@@ -17,7 +17,7 @@ from casadi_engine.discrepancy.events import by_one_step
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.discrepancy.refits import FACTOR, Refits, Tried
+from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.start import Start
 
@@ -70,7 +70,8 @@ def with_one_more(
 ) -> list[Tried]:
     """A structure with one more effect, refitted with each of those that explain most by one step; the pool holds them.
 
-    others : effects that may be added; missing : what one has to gain in log probability by one step
+    others : effects that may be added; missing : what one has to gain in log probability, of which one step may leave
+    a share to further ones
     """
     memory = max(refits.levels.memory.values(), default=1.0)
     made: list[Tried] = []
@@ -81,7 +82,7 @@ def with_one_more(
         return made
     cost = {key: by_one_step(screened.candidates, step, list(own)).cost for key, own in others.items()}
     for key in sorted(cost, key=lambda k: cost[k])[:_SECONDS]:
-        if step.none - cost[key] < 2 * memory * missing:
+        if step.none - cost[key] < (1 - PART) * 2 * memory * missing:
             break
         ask()
         second = chosen(step, others[key])

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from casadi_engine.discrepancy.evidence import Levels, innovations, levels_left
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
-from casadi_engine.discrepancy.refits import Tried
+from casadi_engine.discrepancy.refits import Refits, Tried
 from casadi_engine.estimation.autoregression import autoregression
 
 COUNT = 1000
@@ -87,14 +87,27 @@ def pool_of(**structures):
         pool[frozenset(one.candidate.key for one in effects)] = Tried(
             effects, stub(cost=cost, values={}), None, found, lambda: pool, own
         )
+    for one in pool.values():
+        one.outdone = Refits._is_outdone(stub(pool=pool), one)
     return dict(zip(structures, pool.values(), strict=True))
 
 
 def test_whichever_evidence_says_more_counts():
-    found = pool_of(none=(900.0, -70.0, 100.0), slow=(300.0, -30.0, 110.0), fast=(700.0, -69.0, 180.0))
+    found = pool_of(none=(900.0, -70.0, 100.0), slow=(300.0, -30.0, 110.0))
     assert found["none"].log == -70.0
     assert found["slow"].log == -30.0  # by how many independent samples say so
+    found = pool_of(none=(900.0, -70.0, 100.0), fast=(700.0, -69.0, 180.0))
     assert found["fast"].log == -70.0 + 80.0  # by the innovations
+
+
+def test_a_gap_that_foretells_itself_outdoes_nothing():
+    """Dry friction of a slide, which leaves a tenth of the gap, was behind a spring that leaves nearly all of it: what
+    the spring leaves is smooth. Beside the friction it counts for what its innovations say."""
+    found = pool_of(none=(900.0, -70.0, 100.0), dry=(90.0, -40.0, 20.0), spring=(850.0, -70.5, 600.0))
+    assert found["dry"].log == -40.0
+    assert found["spring"].log == -70.5
+    near = pool_of(none=(900.0, -70.0, 100.0), dry=(90.0, -68.0, 20.0), spring=(850.0, -70.5, 600.0))
+    assert near["spring"].log == -70.0 + 500.0  # the samples do not tell it from the friction
 
 
 def test_a_wrong_way_that_foretells_itself_is_no_better():

@@ -188,7 +188,7 @@ def test_a_unit_that_was_not_stated_is_said_once(leaking):
         replace(one, unit="-", testable=True, smallest_detectable=0.5, note="", twin="")
         for one in leaking.not_found
     )
-    words = joined(replace(leaking, not_found=missed))
+    words = joined(replace(leaking, not_found=missed, unknown=None))
     assert words.count("not stated") == 1
     assert "Smallest detectable sizes (95 % power) (some in units that were not stated): " in words
 
