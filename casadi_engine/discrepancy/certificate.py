@@ -12,6 +12,7 @@ from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, is_car
 from casadi_engine.discrepancy.clocks import Clock, clock_of
 from casadi_engine.discrepancy.common_noise import BESIDE
 from casadi_engine.discrepancy.confirmation import share_closed
+from casadi_engine.discrepancy.elsewhere_families import same_parameters
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh import gap_of, told_by_both
 from casadi_engine.discrepancy.latent_torque import LatentTorque
@@ -263,7 +264,9 @@ def in_place_of(last: Station, law: UnknownLaw, *, far: bool = False) -> Unknown
         return None
     family, odds = law.course.family, math.exp(min(law.log, _SAID))
     words = law_words(last.fit.model, family)
-    rivals = [law_words(last.fit.model, one) for one in law.rivals[:_RIVALS]]
+    alike = _alike(last.fit.model, family)
+    apart = [one for one in law.rivals if one.signal != family.signal or one.port not in alike]
+    rivals = [law_words(last.fit.model, one) for one in apart[:_RIVALS]]
     others = "".join(f", or {said}" for said in dict.fromkeys(rivals) if said != words)
     lost = dict.fromkeys(law_words(last.fit.model, one) for one in law.unheard[:_RIVALS])
     others += "".join(f", or {said}, which was not followed to its end" for said in lost)
@@ -301,10 +304,14 @@ def law_words(model: Model, family: Family) -> str:
         return f"the sensor {name} drifts with time"
     if port.kind == "sensor" and family.signal not in port.signals:
         return f"the sensor {name} depends on {family.signal} too"
+    if port.kind == "input" and family.signal not in port.signals:
+        return f"what acts as the input {name} depends on {family.signal} too"
     if port.kind in ("input", "sensor"):
         return f"the {kind} {name} {'acts as' if kind == 'input' else 'shows'} another function of its value"
     if port.kind == "parameter":
-        return f"the parameter {port.parameter} is not constant: it depends on {family.signal}"
+        others = " or ".join(name.removeprefix("parameter_") for name in _alike(model, family))
+        same = f", or {others}, which no data tell from it," if others else ""
+        return f"the parameter {port.parameter}{same} is not constant: it depends on {family.signal}"
     where = f"between {' and '.join(port.ends)}" if port.ends else f"at {family.port}"
     acts = f"an unknown {port.quantity} {where}"
     if family.order:
@@ -315,6 +322,14 @@ def law_words(model: Model, family: Family) -> str:
     named = port.is_mechanical and family.signal != TIME
     own = "place, its speed added up" if family.signal == PLACE else port.called(family.signal)
     return f"{acts} that depends on {'its ' if named else ''}{own}"
+
+
+def _alike(model: Model, family: Family) -> list[str]:
+    """Ports of other parameters at which the same function of a parameter does the same."""
+    port = model.ports[family.port]
+    if port.kind != "parameter":
+        return []
+    return [f"parameter_{name}" for name in same_parameters(model, port)]
 
 
 def likeness_words(course: Course, *, far: bool = False) -> str:

@@ -71,7 +71,7 @@ def functions_of(null: NullModel, port: str, signal: str) -> tuple[list[Candidat
 
 def _places(null: NullModel) -> list[tuple[Port, Signal]]:
     """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter, at a sensor
-    time and the inputs that no equation uses."""
+    time and the inputs that no equation uses, and at the other inputs these."""
     model = null.model
     # a state of an effect that may be withdrawn is none that a law is told by
     lent = tuple(f"{one.at}_{one.effect.name}_" for one in model.effects)
@@ -88,6 +88,8 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
             found += [(port, signal) for name, signal in made.items() if name not in at_ports]
         elif port.kind == "sensor":
             found += [(port, made[name]) for name in (TIME, *unused)]
+        elif port.kind == "input" and port.name.removeprefix("input_") not in unused:
+            found += [(port, made[name]) for name in unused]
         elif port.slot is not None:
             own = list(port.signals.values())
             found += [(port, made[name]) for name, symbol in every if not _is_known(symbol, own)]
@@ -132,6 +134,35 @@ def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.
     return found
 
 
+def same_parameters(model: Model, port: Port) -> tuple[str, ...]:
+    """Other parameters that do in the equations what one does, but for a factor that does not move: of a/A alone no
+    data tell which of both changes."""
+    one = ca.SX(ca.vertcat(1, 0))
+    moved = _rates(model, port, one)
+    if moved is None:
+        return ()
+    moving = ca.vertcat(model.x, model.u, model.t)
+    rng, found = np.random.default_rng(0), []
+    for other in model.ports:
+        if other.kind != "parameter" or other.name == port.name or "." in other.parameter:
+            continue
+        acts = _rates(model, other, one)
+        if acts is None or acts.nnz() == 0:
+            continue
+        ratio = ca.dot(acts, moved) / ca.sumsqr(acts)
+        rest = ca.sumsqr(moved - ratio * acts)
+        symbols = ca.symvar(ca.vertcat(ratio, rest, moved, moving))
+        look = ca.Function(
+            "look", [ca.vertcat(*symbols)], [rest, ca.sumsqr(moved), ratio, ca.jacobian(ratio, moving)]
+        )
+        left, whole, factor, slope = (
+            np.array(each).ravel() for each in look(rng.uniform(0.5, 1.5, len(symbols)))
+        )
+        if left[0] <= _ALIKE * whole[0] and np.abs(slope).max() <= _ALIKE * abs(factor[0]):
+            found.append(other.parameter)
+    return tuple(found)
+
+
 def _rates(model: Model, port: Port, value: ca.SX) -> ca.SX | None:
     """What a value at a port adds to the rates of the states; None where it adds to an output too."""
     slots, drives, outputs, beyond = responses(model, port, value)
@@ -139,7 +170,7 @@ def _rates(model: Model, port: Port, value: ca.SX) -> ca.SX | None:
     if ca.sparsify(made.output).nnz():
         return None
     ode = made.ode if beyond is None else made.ode + beyond
-    return ca.substitute(ode, model.d, model.drive_expressions)
+    return ca.substitute(ca.substitute(ode, model.w, model.laws), model.d, model.drive_expressions)
 
 
 def _acts(model: Model, port: Port) -> bool:

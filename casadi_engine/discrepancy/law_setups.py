@@ -108,7 +108,7 @@ def setups_at(refits: Refits, tried: Tried, port: Port) -> list[Setup]:
 
 def setups_elsewhere(refits: Refits, tried: Tried, family: Family) -> list[Setup]:
     """A function of a state, an input or time that is no signal of its port: at a parameter as large as its value, at a
-    sensor as what it shows varies."""
+    sensor as what it shows varies, at an input as that varies."""
     plain = refits.refitter.extended(tried.effects)
     known = {TIME: plain.t} | {u.name: plain.u[k] for k, u in enumerate(plain.inputs)}
     known |= {s.name: plain.x[k] for k, s in enumerate(plain.states)}
@@ -117,7 +117,7 @@ def setups_elsewhere(refits: Refits, tried: Tried, family: Family) -> list[Setup
     symbol = known[family.signal]
     port = plain.ports[family.port]
     constant = port.parameter in plain.parameter_names and _in_equations_alone(plain, port)
-    if port.slot is None and port.kind != "sensor" and not constant:
+    if port.slot is None and port.kind not in ("sensor", "input") and not constant:
         return []
     seen = replace(port, signals={**port.signals, family.signal: symbol})
     model = replace(plain, ports=Ports([seen if one.name == port.name else one for one in plain.ports]))
@@ -135,6 +135,8 @@ def setups_elsewhere(refits: Refits, tried: Tried, family: Family) -> list[Setup
                 name = port.name.removeprefix("sensor_")
                 shown = [np.asarray(r[name].values)[r[name].mask] for r in refits.refitter.data if name in r]
                 size = float(np.std(np.concatenate(shown)))
+            elif port.kind == "input":
+                size = float(np.std(_as_read(refits, port)))
             else:
                 size = abs(probe.parameters[port.parameter].value) if port.parameter else _size(probe, paths)
     except FAILURES:

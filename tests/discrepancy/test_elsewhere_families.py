@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import elsewhere_families as module
+from casadi_engine.discrepancy.certificate import law_words
 from casadi_engine.discrepancy.elsewhere_families import elsewhere
 from casadi_engine.discrepancy.evidence import Levels
 from casadi_engine.discrepancy.null_model import null_model
@@ -157,3 +158,53 @@ def test_a_state_that_an_effect_brings_is_no_signal_of_a_law():
     signals = {signal.name for _, signal in module._places(null_model(fit))}
     assert len(fit.model.states) == 2
     assert signals == {"p", "Q", "time"}
+
+
+def test_parameters_that_the_equations_have_in_one_product_alone_are_named_together():
+    """Of a well that fills through an orifice the data tell the orifice's area over the well's: a growth in the orifice
+    had been called a change of the well."""
+    b = ce.Blueprint("well")
+    area, hole = b.parameter("A", 0.3, unit="m2"), b.parameter("a", 1e-3, unit="m2")
+    gravity, loss = b.parameter("g", 9.81, unit="m/s2"), b.parameter("loss", 1e-4, unit="m2/s")
+    h, sea = b.state("h", unit="m"), b.input("sea", unit="m")
+    missing = b.port("well", "inertia", {"speed": h}, unit="m3/s")
+    b.ode("h", (hole * ca.sqrt(2 * gravity * (sea - h)) + missing) / area)
+    b.output("level", h - loss, unit="m")
+    model = b.model()
+
+    def alike(name):
+        return set(module.same_parameters(model, model.ports[f"parameter_{name}"]))
+
+    assert alike("a") == {"A", "g"}
+    assert alike("g") == {"A", "a"}
+    assert alike("loss") == set()
+    family = module.smooth_family("parameter_a", "time", np.array([0.0, 1.0]))
+    assert law_words(model, family) == (
+        "the parameter a, or A or g, which no data tell from it, is not constant: it depends on time"
+    )
+    assert set(module.same_parameters(vessel(), vessel().ports["parameter_C"])) == set()
+
+
+def test_what_acts_as_an_input_may_depend_on_another_one_that_was_recorded():
+    b = ce.Blueprint("well")
+    h, sea = b.state("h", unit="m"), b.input("sea", unit="m")
+    b.input("wind", unit="m/s")
+    b.ode("h", b.parameter("k", 0.1, unit="1/s") * (sea - h))
+    b.output("level", h, unit="m")
+    model = b.model()
+    time = np.arange(50) * 1.0
+    record = ce.Experiment.from_arrays(
+        "run",
+        time=time,
+        units={"sea": "m", "wind": "m/s", "level": "m"},
+        sea=np.sin(0.3 * time),
+        wind=np.cos(0.2 * time),
+        level=0.5 * np.sin(0.3 * time),
+    )
+    places = [
+        (p.name, s.name) for p, s in module._places(null_model(ce.estimate(model, record, progress=False)))
+    ]
+    assert ("input_sea", "wind") in places
+    assert not any(port == "input_wind" for port, _ in places)
+    family = module.smooth_family("input_sea", "wind", np.array([0.0, 1.0]))
+    assert law_words(model, family) == "what acts as the input sea depends on wind too"
