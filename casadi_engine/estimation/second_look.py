@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -14,6 +15,8 @@ from casadi_engine.estimation.lower_optimum import merit
 
 # Half of twice the log likelihood by which the second has to be better; seconds for it, and times those of the first.
 _LOWER, _SECONDS, _TIMES = 0.1, 2.0, 3.0
+# Seconds that a fit that is lost is worth at least: it is no answer, and one that went astray at once was quick.
+_WORTH = 20.0
 # Starts of a fit that is lost.
 _STARTS = 8
 # Logarithm of the factor by which a parameter has left its start where another search is worth its time.
@@ -40,11 +43,13 @@ def looked_at_twice(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
     again(changes) : makes a fit with changed arguments, or from several starts
     """
     plain = fit.options.get("approach") == "direct" and fit.options.get("starts") == 1
-    if not (plain and fit.converged and fit.innovations is None):
+    if not plain or fit.innovations is not None or fit.status == "interrupted":
         return fit
     if lost(fit):
-        found = _another(fit, again, {"approach": "prediction"}, _TIMES, {"approach": BOTH})
-        return _another(found, again, {"starts": _STARTS}, _TIMES, {}) if lost(found) else found
+        found = _another(fit, again, {"approach": "prediction"}, _TIMES, {"approach": BOTH}, _WORTH)
+        return _another(found, again, {"starts": _STARTS}, _TIMES, {}, _WORTH) if lost(found) else found
+    if not fit.converged:
+        return fit
     several = fit.options.get("interval") == "auto" and fit.model.linear is None and fit.nodes > len(fit.data)
     if several and is_elsewhere(fit):
         return _another(fit, again, {"interval": "single", "warm": None}, 1.0, {})
@@ -57,15 +62,21 @@ def _another(
     changes: dict[str, Any],
     times: float,
     said: dict[str, Any],
+    least: float = _SECONDS,
 ) -> Fit:
-    """The fit, or that with changed arguments if it is better, in so many times what the fit took."""
+    """The fit, or that with changed arguments if it is better, in so many times what the fit took, and so many seconds
+    at least."""
+    seconds = max(least, _SECONDS + times * fit.timing["total"])
     try:
-        with Deadline(_SECONDS + times * fit.timing["total"]):
+        # of the processor, that the answer does not depend on what else the machine does
+        with Deadline(seconds, clock=time.process_time):
             found = again(changes)
     except TimeUp:
         if late():
             raise
-        return fit
-    better = found.converged and merit(found) < merit(fit) - _LOWER
+        how = ", ".join(f"{name}={value!r}" for name, value in changes.items() if value is not None)
+        words = f"a second search, {how}, was ended after {seconds:.0f} s: called by itself it may find a better one"
+        return replace(fit, messages=(*fit.messages, words)) if lost(fit) else fit
+    better = found.converged and (not fit.converged or merit(found) < merit(fit) - _LOWER)
     best = found if better else fit
     return replace(best, options={**best.options, **said})

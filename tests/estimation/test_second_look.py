@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.deadline import TimeUp
 from casadi_engine.estimation.followed import lost
 from casadi_engine.estimation.second_look import BOTH, looked_at_twice
 
@@ -21,6 +22,7 @@ class Found:
     messages: tuple[str, ...] = NOT_WHITE
     options: dict = field(default_factory=lambda: {"approach": "direct", "starts": 1})
     converged: bool = True
+    status: str = "converged"
     innovations: object = None
     noise: dict = field(default_factory=lambda: {"y": (1.0, True)})
     traces: dict = field(default_factory=lambda: seen(200))
@@ -71,6 +73,29 @@ def test_which_fits_are_lost(fit, gone):
     assert set(lost(fit)) == ({"r/y"} if gone else set())
     if not gone:
         assert looked_at_twice(fit, None) is fit
+
+
+def test_a_second_search_that_is_cut_is_said():
+    """It had been thrown away without a word: of a Brusselator, started a factor of two off, 15 fits of 34."""
+
+    def again(changed):
+        raise TimeUp
+
+    found = looked_at_twice(Found(50.0), again)
+    assert found.cost == 50.0
+    assert [words for words in found.messages if "second search" in words] == [
+        "a second search, approach='prediction', was ended after 20 s: called by itself it may find a better one",
+        "a second search, starts=8, was ended after 20 s: called by itself it may find a better one",
+    ]
+
+
+def test_a_lost_search_that_has_not_converged_is_searched_again_too():
+    astray = Found(50.0, converged=False, status="not converged: the iterations ran out")
+    assert looked_at_twice(astray, lambda changed: Found(60.0, percent=95.0)).percent == 95.0
+    followed = Found(50.0, percent=95.0, converged=False, status="not converged: the iterations ran out")
+    assert looked_at_twice(followed, None) is followed
+    stopped = Found(50.0, converged=False, status="interrupted")
+    assert looked_at_twice(stopped, None) is stopped
 
 
 def test_where_both_searches_are_lost_other_starts_are_looked_from():
