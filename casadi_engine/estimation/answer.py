@@ -22,7 +22,7 @@ from casadi_engine.estimation.integration import integration_of
 from casadi_engine.estimation.lower_optimum import Place
 from casadi_engine.estimation.predictor import output_stride
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.residual_noise import OwnNoise, own_noise, quieter, with_own_noise
+from casadi_engine.estimation.residual_noise import OwnNoise, own_noise, quieter, taken_of, with_own_noise
 from casadi_engine.estimation.search import AT_WALL, Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
 from casadi_engine.estimation.varied_noise import Varied, varied_noise
@@ -83,7 +83,8 @@ def make_fit(
         best = replace(best, solution=replace(best.solution, status=status))
     noises, white = own_noise(search, best), errors
     noisy = {(one.at, one.output) for one in noises}
-    varied = varied_noise(search, search.problem.at(best.solution.x).records, noisy)
+    points = search.problem.at(best.solution.x).records
+    varied = varied_noise(search, points, noisy, taken_of(search, points, white))
     ratio, effective = np.ones(len(white.covariance.matrix)), math.inf
     if check is not None and not stopped:
         errors, ratio, effective = with_own_noise(search, best, white, noises, varied)

@@ -27,7 +27,7 @@ from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, efficiency
 from casadi_engine.estimation.uncertainty import chained
-from casadi_engine.estimation.varied_noise import Varied, by_rounding, scattered, shared, together
+from casadi_engine.estimation.varied_noise import Varied, by_rounding, of_size, scattered, shared, together
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,8 @@ _LITTLE = 1e-3
 _BLIND = 1e-12
 # A record with more samples times estimates is so long that these take nothing of its noise that would be seen.
 _LONG = 2_000_000
+# Samples to an estimate beyond which these take next to nothing of any sample's noise.
+_MANY = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +180,27 @@ def quieter(search: Search, points: Sequence[RecordPoint]) -> dict[str, float]:
     return found
 
 
+def taken_of(
+    search: Search, points: Sequence[RecordPoint], errors: Uncertainty
+) -> dict[tuple[int, str], Array]:
+    """Number of a record and output -> (n,) share of each sample's variance that the estimates took, of records in
+    which it may be more than next to nothing."""
+    found: dict[tuple[int, str], Array] = {}
+    if not errors.optimal or not np.isfinite(errors.covariance.matrix).all():
+        return found
+    for at, (record, point) in enumerate(zip(search.records, points, strict=True)):
+        entries = _entries(search, at)
+        own = errors.told[np.ix_(entries, entries)]
+        for name in record.observation.where:
+            index = record.grid.measured[name].index
+            if len(index) > _MANY * len(entries) or grows(record, point):
+                continue
+            valid = np.zeros(len(record.experiment[name].time), dtype=bool)
+            slopes = _slopes(search, record, point, OwnNoise(at, name, valid * 0.0, valid, None, None))[index]
+            found[at, name] = np.einsum("nk,kl,nl->n", slopes, own, slopes, optimize=True)
+    return found
+
+
 def _counted(record: RecordTerm, r: Array, name: str) -> Array:
     """The residuals (K, M) of the samples of one output that count, in time order."""
     counts, rows = (record.observation.series(values, name) for values in (record.observation.valid, r))
@@ -265,7 +288,10 @@ def _of_varied(search: Search, point: RecordPoint, one: Varied, errors: Array) -
         values = record.grid.measured[name].values / sigma
         return _beyond(by_rounding(values, residuals[0], slopes[0], errors, one.step / sigma), white)
     if len(slopes) == 1:
-        return _beyond(scattered(residuals[0], slopes[0], errors), white)
+        (name,) = one.outputs
+        seen, sigma = record.grid.measured[name], float(search.sigma[search.levels.outputs.index(name)])
+        course = of_size(seen.values + sigma * residuals[0]) if one.grows else seen.time
+        return _beyond(scattered(residuals[0], slopes[0], errors, course), white)
     both = [
         own[rows]
         for own, rows in zip(slopes, shared(*(record.grid.measured[n] for n in one.outputs)), strict=True)

@@ -4,12 +4,13 @@ A fit weighs all samples of an output alike. Where the squares of its residual g
 record, noise is not of one size: that of many instruments is a share of what they show. Where the residuals of two
 outputs go together, both sensors show one disturbance, and each is worth less than it says. The estimates of such a fit
 are right on average; their errors are those of the sandwich A^-1 B A^-1 of ``residual_noise``, with B of the residuals
-themselves: the sum over samples of slopes times squared residuals, each over what the estimates left of it. Rounding
+themselves: the sum over samples of slopes times squared residuals, each over what the estimates left of it, and as far
+as they left nothing with variances that are a smooth function of the output or the time. Rounding
 is determined by the signal and comes back with it: B is found by rounding the simulation, moved within its errors.
 
 Source: White, Econometrica 48 (1980) 817; MacKinnon & White, J. Econometrics 29 (1985) 305 (their HC3); the test is
-that of Breusch & Pagan, Econometrica 47 (1979) 1287, with the scatter of the squares where it is larger than of normal
-noise.
+the likelihood ratio of log-linear variances (Harvey, Econometrica 44 (1976) 461), with the scatter of the squares where
+it is larger than of normal noise.
 """
 
 from __future__ import annotations
@@ -40,9 +41,14 @@ _HIDDEN, _DRAWS = 0.5, 100
 _SAMPLES, _FEWEST = 10_000_000, 20
 # Size of a residual, in its level, below which errors that count with the level are larger than any it may ask for.
 _LOUD = 0.5
-# Share of a sample's own residual that estimates may take at most, for what is left to tell its size; least variance
-# of a sample, as a share of the mean.
-_TAKEN, _LEAST = 0.9, 0.05
+# Share of a sample's own residual that estimates may take at most, for what is left to tell its size; beyond which it
+# tells nothing of that.
+_TAKEN, _TOLD = 0.9, 0.98
+# A sensor that shows one sign over so many times its least value has noise that may go with its logarithm.
+_DECADE = 10.0
+# Steps of Newton's method for the variances, the farthest in their logarithm; what is none, and twice the logarithm of
+# a likelihood that is none; most of the logarithm of a variance.
+_NEWTON, _FAR, _NOTHING, _SMALL, _MOST = 30, 3.0, 1e-12, 1e-6, 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +67,16 @@ class Varied:
 
 
 def varied_noise(
-    search: Search, points: Sequence[RecordPoint], known: Collection[tuple[int, str]]
+    search: Search,
+    points: Sequence[RecordPoint],
+    known: Collection[tuple[int, str]],
+    taken: Mapping[tuple[int, str], Array],
 ) -> tuple[Varied, ...]:
     """What is not white noise of one size for each sensor, of outputs that nothing else is known of.
 
     known : number of the record and output of those whose residuals are coloured, or larger than stated; of those
     steps alone are told
+    taken : the same -> (n,) share of each sample's variance that the estimates took, of those of few samples
     """
     found: list[Varied] = []
     if search.loss.robust or search.predictor.kind != "none":
@@ -88,7 +98,8 @@ def varied_noise(
                 found.append(Varied(at, (name,), step=step))
             elif (at, name) not in known:
                 plain.append(name)
-                by_size, by_time = (_goes_with(r, course) for course in (own.values + sigma * r, own.time))
+                courses = of_size(own.values + sigma * r), own.time
+                by_size, by_time = (_goes_with(r, course, taken.get((at, name))) for course in courses)
                 if min(by_size, by_time) < _RARE / 2:
                     found.append(Varied(at, (name,), grows=by_size <= by_time))
         for one, other in combinations(plain, 2):
@@ -109,23 +120,65 @@ def _beside(residual: Array, step: float) -> float:
     return max(float(np.mean(residual**2)) - step**2 / 12, 0.0)
 
 
-def _goes_with(r: Array, course: Array) -> float:
-    """How often chance makes the squares of white noise (n,) depend as much on a course and its square."""
+def of_size(shown: Array) -> Array:
+    """What the size of noise may go with: what an output shows, or its logarithm where it has one sign and goes over
+    more than a decade, as noise that is a share of it does."""
+    size = np.abs(shown)
+    one_sign = bool((shown > 0).all() or (shown < 0).all())
+    return np.log(size) if one_sign and size.max() > _DECADE * size.min() else shown
+
+
+def _goes_with(r: Array, course: Array, taken: Array | None = None) -> float:
+    """How often chance makes the squares of white noise (n,) depend as much on a course and its square.
+
+    taken : (n,) share of each sample's variance that the estimates took, None where that is next to nothing. Twice the
+    logarithm of the likelihood of variances exp(a + b x + c x^2) over that of one variance, of squares each with as
+    many degrees of freedom as are left of it.
+    """
     spread = float(np.ptp(course))
-    if not spread > 0:
+    weight = np.ones(len(r)) if taken is None else 1 - np.clip(taken, 0.0, 1.0)
+    here = weight > 1 - _TOLD
+    if not spread > 0 or here.sum() < _FEW:
         return 1.0
-    x = 2 * (course - course.min()) / spread - 1
-    columns = np.stack([np.ones_like(x), x, x**2], axis=1)
-    squares = r**2 - np.mean(r**2)
-    level = float(np.mean(r**2))
+    weight, squares = weight[here], r[here] ** 2 / weight[here]
+    level = float(weight @ squares) / float(weight.sum())
     if not level > 0:
         return 1.0
-    told = columns @ np.linalg.lstsq(columns, squares, rcond=None)[0]
-    own = r**2 / np.maximum(level + told, _LEAST * level)
-    spread = max(
-        2.0, float(np.var(own)) / float(np.mean(own)) ** 2
-    )  # 2 of normal noise, more where tails are heavy
-    return float(chi2_sf(float(told @ told) / (spread * level**2), 2))
+    own = _variances(squares / level, weight, course[here])
+    gain = float(weight @ (squares / level - np.log(own) - squares / level / own))
+    left = squares / level / own
+    mean = float(weight @ left) / float(weight.sum())
+    # 2 of normal noise, more where tails are heavy
+    tails = max(2.0, float(weight @ (left - mean) ** 2) / float(weight.sum()) / mean**2)
+    return float(chi2_sf(2 * gain / tails, 2)) if gain > _NOTHING else 1.0
+
+
+def _variances(squares: Array, weight: Array, course: Array) -> Array:
+    """The most likely variances exp(a + b x + c x^2) of normal noise (n,) with these squares, whose mean is one."""
+    x = 2 * (course - course.min()) / np.ptp(course) - 1
+    columns = np.stack([np.ones_like(x), x, x**2], axis=1)
+    q, root = np.linalg.qr(columns * np.sqrt(weight)[:, None])
+    if np.abs(np.diag(root)).min() < _NOTHING * np.abs(np.diag(root)).max():
+        return np.ones_like(squares)
+    frame = q / np.sqrt(weight)[:, None]
+    at, cost = np.zeros(3), float(weight @ squares)
+    for _ in range(_NEWTON):
+        log = frame @ at
+        ratio = squares * np.exp(-log)
+        slope = frame.T @ (weight * (1 - ratio))
+        bend = (frame * (weight * (ratio + _NOTHING))[:, None]).T @ frame
+        step = np.linalg.solve(bend, -slope)
+        step *= min(1.0, _FAR / max(float(np.abs(frame @ step).max()), _NOTHING))
+        while True:
+            new = frame @ (at + step)
+            then = float(weight @ (new + squares * np.exp(-new)))
+            if then <= cost or np.abs(step).max() < _NOTHING:
+                break
+            step = 0.5 * step
+        at, cost, before = at + step, then, cost
+        if before - then < _SMALL:
+            break
+    return np.asarray(np.exp(np.clip(frame @ at, -_MOST, _MOST)))
 
 
 def _correlation(
@@ -144,12 +197,23 @@ def shared(one: Measured, other: Measured) -> tuple[NDArray[np.intp], NDArray[np
     return here, there
 
 
-def scattered(residual: Array, slopes: Array, errors: Array) -> Array:
-    """J'VJ of one output with these slopes (n, k) and V of its residual (n,); errors (k, k) of what they are slopes
-    in, which took a part of it."""
-    taken = np.einsum("nk,kl,nl->n", slopes, errors, slopes, optimize=True)
-    own = residual / (1 - np.clip(taken, 0.0, _TAKEN))
-    return np.asarray((slopes * own[:, None] ** 2).T @ slopes)
+def scattered(residual: Array, slopes: Array, errors: Array, course: Array) -> Array:
+    """J'VJ of one output with these slopes (n, k) and V of its residual (n,), which goes with a course (n,); errors
+    (k, k) of what they are slopes in, which took a part of it.
+
+    The variance of each sample is its own square, and the most likely smooth one by the square of the share that the
+    estimates took: where one rests on a single sample, what is left of that tells nothing of its noise.
+    """
+    taken = np.clip(np.einsum("nk,kl,nl->n", slopes, errors, slopes, optimize=True), 0.0, 1.0)
+    own = (residual / (1 - np.minimum(taken, _TAKEN))) ** 2
+    smooth, weight = own, 1 - taken
+    here = weight > 1 - _TOLD
+    if here.sum() >= _FEW and np.ptp(course[here]) > 0:
+        squares, weight = residual[here] ** 2 / weight[here], weight[here]
+        level = float(weight @ squares) / float(weight.sum())
+        smooth = own.copy()
+        smooth[here] = level * _variances(squares / level, weight, course[here]) if level > 0 else own[here]
+    return np.asarray((slopes * ((1 - taken**2) * own + taken**2 * smooth)[:, None]).T @ slopes)
 
 
 def by_rounding(measured: Array, residual: Array, slopes: Array, errors: Array, step: float) -> Array:

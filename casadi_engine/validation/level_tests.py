@@ -23,6 +23,8 @@ LOUDER = 1.5
 _STATED = 1e9
 # Fewest samples, beyond the numbers that were fitted to them, that tell a mean or a size from chance.
 _FEWEST = 8
+# Lag-one correlation, in its standard errors, from which a residual counts as coloured; lags that are looked at.
+_COLOUR, _LAGS = 3.0, 200
 
 
 def mean_test(residual: FloatArray, correlation: Correlation, reach: float = 1.0) -> ResidualTest:
@@ -45,13 +47,29 @@ def mean_test(residual: FloatArray, correlation: Correlation, reach: float = 1.0
     if reach <= ABSORBED:
         return ResidualTest(None, None, None, count, why="parameters and first states take what is constant")
     variance = float(residual.var()) * count / (count - 1)
-    rho = _past(correlation)
-    stop = int(np.argmax(rho <= 0)) if (rho <= 0).any() else len(rho)
-    memory = 1 + 2 * float(rho[:stop].sum())
+    memory = _memory(_past(correlation))
     floor = (np.finfo(float).eps * float(np.abs(residual).max())) ** 2 + 1e-300
     ratio = float(residual.sum()) ** 2 / (reach * count * memory * max(variance, floor))
     chance = float(f_sf(ratio, 1, max(count / memory - 1, 1.0)))
     return ResidualTest(ratio, 1, chance, count)
+
+
+def memory_of(residual: FloatArray) -> float:
+    """How many samples (n,) of a residual count for one independent one in what is slow; 1 where neighbours go together
+    by no more than chance makes them."""
+    power, count = float(residual @ residual), len(residual)
+    if not power > 0:
+        return 1.0
+    rho = np.array(
+        [float(residual[k:] @ residual[:-k]) / power for k in range(1, min(_LAGS, count // 2) + 1)]
+    )
+    return max(_memory(rho), 1.0) if len(rho) and rho[0] > _COLOUR / math.sqrt(count) else 1.0
+
+
+def _memory(rho: FloatArray) -> float:
+    """The same from correlations with the past, up to where they first vanish."""
+    stop = int(np.argmax(rho <= 0)) if (rho <= 0).any() else len(rho)
+    return 1 + 2 * float(rho[:stop].sum())
 
 
 def size_test(

@@ -21,6 +21,7 @@ from casadi_engine.estimation import Fit
 from casadi_engine.estimation.fit_percent import FloatArray
 from casadi_engine.estimation.single_shots import Place, SingleShots
 from casadi_engine.problem.noise import Noise
+from casadi_engine.validation.level_tests import memory_of
 from casadi_engine.validation.parameter_prior import PriorSplit
 from casadi_engine.validation.projection import orthonormal
 from casadi_engine.validation.residual_tests import ResidualTest
@@ -33,6 +34,8 @@ _ROUNDS, _SETTLED = 6, 1e-4
 _EVALUATIONS = 60
 # A gap is called beyond the noise from this many standard deviations of chi-squared.
 _BEYOND = 3.0
+# Fewest samples of which a memory is told.
+_FEW = 30
 # Residual in standard deviations that stands for a point at which the model cannot be simulated.
 _REFUSED = 1e6
 
@@ -288,15 +291,18 @@ class _Problem:
         turn = _kept(self.still * self.units, slopes.shape[1])
         offset, rows = (part[: len(self.rows)] for part in self._prior(x))
         split = PriorSplit.of(-residual, slopes @ turn, rows @ turn, offset)
+        # coloured noise moves what is slow further than white noise of its size
+        worth = self._worth(split.noise)
+        told = PriorSplit.of(-residual * worth, (slopes @ turn) * worth[:, None], rows @ turn, offset)
         fresh_freedom = math.inf if not self.estimated else max(float(len(residual) - split.rank), 1.0)
         known = not any(free for _, free in self.fit.noise.values())
-        p_value = split.p_value(math.inf if known else max(self.fit.dof, 1.0), fresh_freedom)
+        p_value = told.p_value(math.inf if known else max(self.fit.dof, 1.0), fresh_freedom)
         why = None if p_value is not None else self._why_not()
         limits, beyond = self._limits(x, turn @ split.step, turn @ split.covariance @ turn.T)
         gap = self._gap(sigma, split)
         check = ParameterCheck(
-            None if p_value is None else split.value,
-            None if p_value is None else split.dof,
+            None if p_value is None else told.value,
+            None if p_value is None else told.dof,
             p_value,
             *gap,
             self._moved(x),
@@ -322,6 +328,15 @@ class _Problem:
             self.freedom,
             self._reach(x, slopes),
         )
+
+    def _worth(self, noise: FloatArray) -> FloatArray:
+        """(N,) root of how many independent samples each is worth, 1 where what parameters do not reach is white."""
+        worth = np.ones(len(noise))
+        for rows in self.shots.places.values():
+            own = noise[rows]
+            if len(own) >= _FEW:
+                worth[rows] = 1 / math.sqrt(memory_of(own))
+        return worth
 
     def _reach(self, x: FloatArray, slopes: FloatArray) -> dict[Place, float]:
         """See ``Refit``."""
