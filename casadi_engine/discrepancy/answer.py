@@ -47,6 +47,7 @@ from casadi_engine.discrepancy.claim import (
 from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
 from casadi_engine.discrepancy.confirmation import CHANCE, PairedGain
 from casadi_engine.discrepancy.detectable import not_found
+from casadi_engine.discrepancy.elsewhere_families import unused_everywhere
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.filters import behind_a_filter
 from casadi_engine.discrepancy.fresh import (
@@ -63,7 +64,7 @@ from casadi_engine.discrepancy.left_out import left_out_alike
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.path import FAILURES
-from casadi_engine.discrepancy.random_families import ORDERS
+from casadi_engine.discrepancy.random_families import ORDERS, Family
 from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.repaired import (
     BEHIND_LAW,
@@ -270,9 +271,14 @@ class Answer:
         asked = (rival is not None and every is None) or bool(found and law is None)
         asked = asked or (unknown is not None and not found)
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
+        # what was recorded and acts on nothing may be all of the colour, by a law that slopes do not follow
+        idle: tuple[Family, ...] = ()
+        if coloured and not found and unknown is None:
+            idle = tuple(unused_everywhere(last.fit.model, null.fit.free))
+        asked = asked or bool(idle)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             first = law if looked else self._law(held, near)
-            others = () if first is None else first.others
+            others = (*idle, *(() if first is None else first.others))
             told_by = partial(refitted_law, others=others, fresh=self.portion.fresh)
             again = self._law(held, told_by, "refitted law")
             said = _said(claim, held, again, refitted=True)

@@ -70,6 +70,11 @@ def _may_be_chance(repair: Repair) -> bool:
         return False
     if repair.noise is None or repair.verdict not in ("unnamed", "named", "class"):
         return False
+    # odds are larger than k by chance in one of k cases at most (Markov's inequality), and what fresh data say of the
+    # effects that such a law takes the place of says nothing of it
+    odds = None if repair.unknown is None else repair.unknown.odds
+    if odds is not None and odds * CHANCE * repair.alpha > 1:
+        return False
     tests = _tests(repair)
     white = [p for one in gaps.validation_before.whiteness_p.values() for p in one.values() if p is not None]
     quiet = bool(repair.noise.colour) or min(white, default=1.0) >= SURE

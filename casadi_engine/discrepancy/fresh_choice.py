@@ -24,7 +24,7 @@ from casadi_engine.discrepancy.parameter_doubt import doubted, within_errors
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import Key, key_of
-from casadi_engine.discrepancy.repaired import Unknown
+from casadi_engine.discrepancy.repaired import FRESH_DATA, Unknown
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.unknown_law import does_more
 from casadi_engine.discrepancy.ways import ranked, way_so_far
@@ -90,7 +90,7 @@ class FreshChoice:
                 return self._judged_in_order()
         except TimeUp:
             self.messages.append("the fresh data were not looked at to their end, as the time was up")
-            search.failed["the fresh data"] = TIME_UP
+            search.failed[FRESH_DATA] = TIME_UP
             stations = way_so_far(search)
             search.best = key_of(stations[-1].effects)
             return self._kept(stations, stations, None)

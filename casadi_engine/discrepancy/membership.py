@@ -41,9 +41,11 @@ def simpler(now: Any, alike: Sequence[Any], factor: float) -> Any:
 
 
 def strange(effects: Sequence[Addition]) -> int:
-    """How many effects are of another world than their port: what slides has dry friction, and heat has none."""
+    """How many effects are of another world than their port: what slides has dry friction, and heat has none; and what
+    acts by a channel from elsewhere is farther off than what acts by itself."""
     sliding = [one.candidate for one in effects if getattr(one.candidate.source.effect, "slides", False)]
-    return sum(not one.source.model.ports[one.port].is_mechanical for one in sliding)
+    far = sum(one.kind == "path" for one in effects)
+    return far + sum(not one.source.model.ports[one.port].is_mechanical for one in sliding)
 
 
 def numbers(effects: Sequence[Addition]) -> int:

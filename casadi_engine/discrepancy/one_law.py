@@ -91,6 +91,8 @@ def _beside_own_terms(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
     signal = _one_signal(fit, at, 1) if fit is not None and len(own) == 1 else None
     if fit is None or signal is None or fit.model.ports[at].kind in ("input", "sensor"):
         return ""
+    if any(state.name.startswith(f"{at}_{own[0].name}_") for state in fit.model.states):
+        return ""  # what has a memory is no curve
     names, model = list(fit.model.parameter_names), fit.model
     amplitude = next(iter(own[0].parameters))
     if amplitude not in names:

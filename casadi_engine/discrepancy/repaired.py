@@ -30,6 +30,8 @@ UNJUDGED = "leaving more than noise, and not held against fresh data before the 
 BEHIND_OTHERS = "far less probable than what could not be fitted to its end"
 
 
+# What was not searched where the time was up before fresh data were asked.
+FRESH_DATA = "the fresh data"
 # What an answer says that was made before it was looked for anything.
 UNTOLD = "the time was up before it could be told whether anything is missing"
 # What is said of a law that is seen along a simulation far from the motion.

@@ -17,7 +17,7 @@ from casadi_engine.discrepancy.fresh_misfit import (
     is_far_beyond,
     is_louder,
 )
-from casadi_engine.discrepancy.repaired import FAR_OFF, SO_FAR, UNCONFIRMED, UNTOLD, in_its_place
+from casadi_engine.discrepancy.repaired import FAR_OFF, FRESH_DATA, SO_FAR, UNCONFIRMED, UNTOLD, in_its_place
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
     BOUNDS,
@@ -77,7 +77,12 @@ def headline(repair: Repair) -> str:
             ended = "the search ended before an effect of the library could name it"
             why = "no effect that was tried names it" if unnamed else ended
         return f"something is missing, and {why}{unnamed}{_nearest(repair)}"
-    sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
+    left = "not held against the fresh data, as the time was up" if FRESH_DATA in repair.not_searched else ""
+    sure = {
+        True: "confirmed on fresh data",
+        False: "not confirmed by fresh data",
+        None: left or "unconfirmed",
+    }
     others = [m.label for one in repair.effects for m in one.members[1:] if m.probability > _HARDLY]
     likely = _more_probable(repair)
     others = [label for label in others if label not in likely]

@@ -26,7 +26,8 @@ class Transfer(Effect):
     between two bodies the heat that passes. It acts at a link or a pipe: ``a_and_b`` joins the ports a and b of the
     kind inertia whose slots have the same unit: N m or N of a mechanical model, or the one that was stated,
     ``b.port("tank_1", "inertia", {"level": h_1}, unit="m3/s")``. Links that a coupling of the model joins are not
-    looked at: there it is viscous_friction of the coupling.
+    looked at: there it is viscous_friction of the coupling. At a path, ``u_to_a``, it is what a loses to something
+    whose temperature, level or speed is the input u: a cellar that was recorded, a base that moves.
 
     >>> from casadi_engine import Blueprint
     >>> b = Blueprint("tanks")
@@ -40,7 +41,7 @@ class Transfer(Effect):
     """
 
     name = "transfer"
-    attaches = ("link", "pipe")
+    attaches = ("link", "pipe", "path")
     kin = ("viscous_friction", "overflow")
     sentence = "viscous friction between {port}"
     neutral = "a {effort} between {port}, proportional to their difference"
@@ -53,7 +54,7 @@ class Transfer(Effect):
 
     def _called(self, port: str) -> str:
         """Both ends."""
-        return port.replace("_and_", " and ")
+        return port.replace("_and_", " and ").replace("_to_", " and ", 1)
 
 
 @dataclass(frozen=True)

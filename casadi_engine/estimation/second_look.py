@@ -8,9 +8,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from casadi_engine.deadline import Deadline, TimeUp, late
+from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.followed import lost
+from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.lower_optimum import merit
 
 # Half of twice the log likelihood by which the second has to be better; seconds for it, and times those of the first.
@@ -43,7 +47,8 @@ def looked_at_twice(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
     again(changes) : makes a fit with changed arguments, or from several starts
     """
     plain = fit.options.get("approach") == "direct" and fit.options.get("starts") == 1
-    if not plain or fit.innovations is not None or fit.status == "interrupted":
+    short = ONE_STEP in fit.status  # of an optimum; what ran out of iterations was to take no more
+    if not plain or fit.innovations is not None or not (fit.converged or short):
         return fit
     if lost(fit):
         found = _another(fit, again, {"approach": "prediction"}, _TIMES, {"approach": BOTH}, _WORTH)
@@ -77,6 +82,8 @@ def _another(
         how = ", ".join(f"{name}={value!r}" for name, value in changes.items() if value is not None)
         words = f"a second search, {how}, was ended after {seconds:.0f} s: called by itself it may find a better one"
         return replace(fit, messages=(*fit.messages, words)) if lost(fit) else fit
+    except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):  # there is a fit
+        return fit
     better = found.converged and (not fit.converged or merit(found) < merit(fit) - _LOWER)
     best = found if better else fit
     return replace(best, options={**best.options, **said})

@@ -263,6 +263,18 @@ class Port:
         return f"{self.name} ({self.kind}): {', '.join(self.signals)}"
 
 
+def _above(value: Any, unit: str | None, port: Port) -> tuple[dict[str, Any], dict[str, str]]:
+    """By how much a value is above the first signal of a port, and its unit; nothing where that is of another unit or
+    counted from it already."""
+    first = next(iter(port.signals), "")
+    if unit is None or port.units.get(first) != unit:
+        return {}, {}
+    own = port.signals[first]
+    if any(ca.depends_on(own, symbol) for symbol in ca.symvar(value)):
+        return {}, {}
+    return {"difference": value - _above_zero(port, first)}, {"difference": unit}
+
+
 def _of_one_unit(a: Port, b: Port, signal: str) -> bool:
     """False where two ports have a signal of which no difference is to be had, as a voltage and a charge, or where that
     is not known, as one of them has no unit."""
@@ -332,7 +344,8 @@ class Ports(Sequence[Port]):
 
     @cached_property
     def paths(self) -> tuple[Port, ...]:
-        """A path ``u_to_a`` from every input u to every inertia a, with the signal ``input``, which is u. Paths are
+        """A path ``u_to_a`` from every input u to every inertia a, with the signal ``input``, which is u, and, where a
+        has a first signal of its unit that is not counted from it, ``difference``, by which u is above that. Paths are
         found by name, as links are, and are not listed among the ports."""
         able = [port for port in self.with_slot if port.kind == "inertia"]
         found = []
@@ -342,11 +355,10 @@ class Ports(Sequence[Port]):
                 signals, known = {"input": one.signals["value"]}, one.units.get("value")
                 units = {} if known is None else {"input": known}
                 for a in able:
-                    words = f"{name} acts at {a.name}"
-                    end = (a.name,)
-                    found.append(
-                        Port(f"{name}_to_{a.name}", "path", words, signals, None, a.unit, end, units)
-                    )
+                    words, end = f"{name} acts at {a.name}", (a.name,)
+                    more, wide = _above(signals["input"], known, a)
+                    own, every = signals | more, units | wide
+                    found.append(Port(f"{name}_to_{a.name}", "path", words, own, None, a.unit, end, every))
         return tuple(found)
 
     @property

@@ -32,7 +32,7 @@ _MAY_USE: Mapping[str, tuple[str, ...]] = {
     "cylinder": ("x", "u", "d", "t", "p"),
     "link": ("x", "u", "d", "t", "p"),
     "pipe": ("x", "u", "d", "t", "p"),
-    "path": ("u", "t", "p"),
+    "path": ("x", "u", "d", "t", "p"),
     "input": ("u", "t", "p"),
     "sensor": ("x", "u", "d", "w", "t", "p"),
     "parameter": ("t", "p"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -17,9 +17,15 @@ if TYPE_CHECKING:
 _ALIKE = 1e-9
 
 
-def is_further(model: Model, path: Port) -> bool:
-    """True if an input may act at a port beside what it does in the model: it is of the unit of what acts there, or was
-    recorded and acts on nothing; and does not act there alone, where that would be a wrong gain of it."""
+def is_further(model: Model, path: Port, effect: Any) -> bool:
+    """True if an effect may act by an input at a port beside what the input does in the model.
+
+    One that reads by how much the input is above the port's own signal asks for that; one in proportion to the input
+    for the unit of what acts there, or that the input was recorded and acts on nothing, and that it does not act there
+    alone, where that would be a wrong gain of it.
+    """
+    if "link" in effect.attaches or "pipe" in effect.attaches:
+        return "difference" in path.signals
     (end,) = path.ends
     name = path.name.removesuffix(f"_to_{end}")
     symbol = model.u[[one.name for one in model.inputs].index(name)]

@@ -148,7 +148,7 @@ def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:
     return (
         *listed,
         *(link for link in links if not joined(model, link)),
-        *(path for path in paths if is_further(model, path)),
+        *(path for path in paths if is_further(model, path, effect)),
     )
 
 

@@ -104,3 +104,60 @@ def test_a_share_of_the_force_at_the_absorber_is_named_beside_the_whole_library(
     assert found.confirmed
     assert abs(gain.value - 0.08) < 3 * gain.stderr < 0.01
     assert "the input F acts at absorber" in str(found)
+
+
+def buffer():
+    b = ce.Blueprint("buffer")
+    c = b.parameter("C", 4e5, unit="J/K", min=1e4)
+    ambient, heat = b.input("Ta", unit="K"), b.input("P", unit="W")
+    b.input("cellar", unit="K")
+    b.input("pressure", unit="bar")
+    t = b.state("T", unit="K", scale=300)
+    loss = b.parameter("G", 20.0, unit="W/K", min=0)
+    b.ode(
+        "T", (heat - loss * (t - ambient) + b.port("tank", "inertia", {"speed": t - ambient}, unit="W")) / c
+    )
+    b.output("shown", t, unit="K")
+    return b.model()
+
+
+def heated(seed):
+    """By SciPy; the tank loses 12 W/K to a cellar beside the room."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0, 86400, 120.0)
+    power = np.repeat(rng.uniform(0, 3000, 36), 20)
+    ambient = 293 + 3 * np.sin(2 * np.pi * time / 86400 + seed)
+    cellar = 285 + 4 * np.sin(2 * np.pi * time / 30000 + 2 * seed)
+
+    def rate(t, y):
+        at = [np.interp(t, time, one) for one in (power, ambient, cellar)]
+        return (at[0] - 30 * (y - at[1]) - 12 * (y - at[2])) / 5e5
+
+    y = solve_ivp(rate, (0, time[-1]), [310.0], t_eval=time, rtol=1e-9, atol=1e-9, max_step=120).y[0]
+    channels = {
+        "P": power,
+        "Ta": ambient,
+        "cellar": cellar,
+        "pressure": 2 + 0.1 * rng.standard_normal(len(time)),
+    }
+    shown = y + 0.1 * rng.standard_normal(len(time))
+    units = {"P": "W", "Ta": "K", "cellar": "K", "pressure": "bar", "shown": "K"}
+    return ce.Experiment.from_arrays(f"day {seed}", time=time, units=units, **channels, shown=shown)
+
+
+def test_a_loss_to_a_temperature_that_was_recorded_is_named_beside_the_whole_library():
+    found = ce.repair(buffer(), heated(1), fresh=heated(2), starts=1, progress=False)
+    assert [one.key for one in found.effects] == ["cellar_to_tank.transfer"], found
+    size = found.effects[0].amplitude
+    assert found.confirmed
+    assert size.unit == "W/K"
+    assert abs(size.value - 12) < 3 * size.stderr < 2
+    assert "between cellar and tank" in str(found)
+
+
+def test_a_transfer_asks_for_an_input_of_the_unit_of_the_ports_own_signal():
+    transfer = ce.effects.library("transfer")[0]
+    assert [port.name for port in ports_for(buffer(), transfer)] == [
+        "cellar_to_tank"
+    ]  # Ta has friction at the tank
+    assert [port.name for port in ports_for(bridge(), transfer) if port.kind == "path"] == []

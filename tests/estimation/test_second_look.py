@@ -9,7 +9,9 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.deadline import TimeUp
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.followed import lost
+from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.second_look import BOTH, looked_at_twice
 
 NOT_WHITE = ("the residual of r/y is not white (neighbours correlate by 0.9): the model lacks something",)
@@ -89,13 +91,28 @@ def test_a_second_search_that_is_cut_is_said():
     ]
 
 
+@pytest.mark.parametrize(
+    "fault", [EstimationError("no start"), FloatingPointError(), np.linalg.LinAlgError()]
+)
+def test_a_second_search_that_fails_costs_no_fit(fault):
+    """A fit over several intervals had ended in an error, as a simulation from its start values diverged."""
+
+    def again(changed):
+        raise fault
+
+    assert looked_at_twice(Found(50.0), again).cost == 50.0
+
+
 def test_a_lost_search_that_has_not_converged_is_searched_again_too():
-    astray = Found(50.0, converged=False, status="not converged: the iterations ran out")
+    astray = Found(
+        50.0, converged=False, status=f"not converged: {ONE_STEP} chi-squared by 0.6, more than 0.001"
+    )
     assert looked_at_twice(astray, lambda changed: Found(60.0, percent=95.0)).percent == 95.0
-    followed = Found(50.0, percent=95.0, converged=False, status="not converged: the iterations ran out")
+    followed = Found(50.0, percent=95.0, converged=False, status=astray.status)
     assert looked_at_twice(followed, None) is followed
-    stopped = Found(50.0, converged=False, status="interrupted")
-    assert looked_at_twice(stopped, None) is stopped
+    for status in ("interrupted", "not converged: the iterations ran out"):
+        stopped = Found(50.0, converged=False, status=status)
+        assert looked_at_twice(stopped, None) is stopped
 
 
 def test_where_both_searches_are_lost_other_starts_are_looked_from():
