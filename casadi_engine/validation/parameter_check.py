@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -292,8 +292,7 @@ class _Problem:
         offset, rows = (part[: len(self.rows)] for part in self._prior(x))
         split = PriorSplit.of(-residual, slopes @ turn, rows @ turn, offset)
         # coloured noise moves what is slow further than white noise of its size
-        worth = self._worth(split.noise)
-        told = PriorSplit.of(-residual * worth, (slopes @ turn) * worth[:, None], rows @ turn, offset)
+        told = replace(split, value=split.value / self._memory(split.noise))
         fresh_freedom = math.inf if not self.estimated else max(float(len(residual) - split.rank), 1.0)
         known = not any(free for _, free in self.fit.noise.values())
         p_value = told.p_value(math.inf if known else max(self.fit.dof, 1.0), fresh_freedom)
@@ -329,14 +328,10 @@ class _Problem:
             self._reach(x, slopes),
         )
 
-    def _worth(self, noise: FloatArray) -> FloatArray:
-        """(N,) root of how many independent samples each is worth, 1 where what parameters do not reach is white."""
-        worth = np.ones(len(noise))
-        for rows in self.shots.places.values():
-            own = noise[rows]
-            if len(own) >= _FEW:
-                worth[rows] = 1 / math.sqrt(memory_of(own))
-        return worth
+    def _memory(self, noise: FloatArray) -> float:
+        """How many samples count for one in the output that is most coloured, by what parameters do not reach of it."""
+        every = [noise[rows] for rows in self.shots.places.values()]
+        return max((memory_of(own) for own in every if len(own) >= _FEW), default=1.0)
 
     def _reach(self, x: FloatArray, slopes: FloatArray) -> dict[Place, float]:
         """See ``Refit``."""
