@@ -64,7 +64,7 @@ from casadi_engine.discrepancy.left_out import left_out_alike
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.path import FAILURES
-from casadi_engine.discrepancy.random_families import ORDERS, Family
+from casadi_engine.discrepancy.random_families import ORDERS
 from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.repaired import (
     BEHIND_LAW,
@@ -266,16 +266,11 @@ class Answer:
         law = self._law(held, near) if looked else None
         far = bool(law and not held.effects and self._in_time("unknown law", lambda: self._is_far(held)))
         rival = _said(claim, held, law, far=far)
-        # near the truth the law that is linearised is told from the effects by all data, if slopes tell; else it is
-        # refitted
-        asked = (rival is not None and every is None) or bool(found and law is None)
-        asked = asked or (unknown is not None and not found)
-        asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         # what was recorded and acts on nothing may be all of the colour, by a law that slopes do not follow
-        idle: tuple[Family, ...] = ()
-        if coloured and not found and unknown is None:
-            idle = tuple(unused_everywhere(last.fit.model, null.fit.free))
-        asked = asked or bool(idle)
+        hidden = coloured and not found and unknown is None
+        idle = tuple(unused_everywhere(last.fit.model, null.fit.free)) if hidden else ()
+        open_ = rival is not None and every is None
+        asked = open_ or bool(idle) or self._asks_refit(claim, law)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             first = law if looked else self._law(held, near)
             others = (*idle, *(() if first is None else first.others))
@@ -312,6 +307,15 @@ class Answer:
         return (
             kept if kept is not None and kept.found else claim.withdrawn_for(claim.unknown, null, BEHIND_LAW)
         )
+
+    def _asks_refit(self, claim: Claim, law: UnknownLaw | None) -> bool:
+        """True where a law is to be refitted, as slopes do not tell it from what is claimed: near the truth they do."""
+        if claim.found and law is None:
+            return True
+        if claim.unknown is not None and not claim.found:
+            return True
+        coloured = claim.last.screened.choice.is_coloured
+        return coloured and self._in_time("unknown law", lambda: self._is_far(claim.last)) is True
 
     def _along_all(self, claim: Claim) -> AllData | None:
         """All data, where fresh ones confirm effects: a law of no name may do what these imitate, which the data of the

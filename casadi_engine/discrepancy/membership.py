@@ -44,7 +44,8 @@ def strange(effects: Sequence[Addition]) -> int:
     """How many effects are of another world than their port: what slides has dry friction, and heat has none; and what
     acts by a channel from elsewhere is farther off than what acts by itself."""
     sliding = [one.candidate for one in effects if getattr(one.candidate.source.effect, "slides", False)]
-    far = sum(one.kind == "path" for one in effects)
+    may = [one for one in effects if "path" in getattr(one.candidate.source.effect, "attaches", ())]
+    far = sum(one.kind == "path" for one in may)
     return far + sum(not one.source.model.ports[one.port].is_mechanical for one in sliding)
 
 

@@ -9,10 +9,9 @@ from casadi_engine.discrepancy.assumed_pressure import is_carried
 from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.one_screen import Lines, fitted, in_columns, listed, shortened
 from casadi_engine.discrepancy.repaired import more_probable
-from casadi_engine.discrepancy.verdict_words import headline, next_step
+from casadi_engine.discrepancy.verdict_words import acts_where, headline, next_step
 from casadi_engine.discrepancy.wording import (
     LISTED,
-    acting_at,
     acts_as,
     first_words,
     held_out,
@@ -198,9 +197,8 @@ def _where(repair: Repair) -> list[str]:
         low, high = (math.degrees(a) for a in where.crank_angle)
         words += [f"crank angle {low:.0f} to {high:.0f} deg"]
     words += [] if where.order is None else [f"order {where.order:g}"]
-    words += (
-        [] if where.location is None else [f"{acting_at(repair.model, where.location)} explains most of it"]
-    )
+    acts = acts_where(repair)
+    words += [f"{acts} explains most of it"] if acts else []
     return wrapped(f"Gap widest in {'; '.join(words)}", "       ")
 
 

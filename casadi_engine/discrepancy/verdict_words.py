@@ -25,6 +25,7 @@ from casadi_engine.discrepancy.wording import (
     STARTS,
     UNRESOLVED,
     USER,
+    acting_at,
     is_blind,
     is_early,
     is_untold,
@@ -102,6 +103,26 @@ def headline(repair: Repair) -> str:
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     hidden = "; the residual is coloured, and more may hide in it" if _may_hide_more(repair) else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}{hidden}"
+
+
+def acts_where(repair: Repair) -> str:
+    """What acts where the gap is, in words, as "a force at deck"; "" where that is not known, or the answer names what
+    acts elsewhere: one direction that explains most is no finding beside it."""
+    place = None if repair.where is None else repair.where.location
+    if place is None:
+        return ""
+    named = {member.at for one in repair.effects for member in one.members} | {
+        one.at for one in repair.effects
+    }
+    if repair.unknown is not None and repair.unknown.port is not None:
+        named.add(repair.unknown.port)
+    ends = {end for at in named for end in _ends(repair, at)}
+    return "" if named and place not in named | ends else acting_at(repair.model, place)
+
+
+def _ends(repair: Repair, at: str) -> tuple[str, ...]:
+    """The ports at which what acts at a link or a path does."""
+    return next((one.ends for one in repair.model.ports.unlisted if one.name == at), ())
 
 
 def _may_hide_more(repair: Repair) -> bool:

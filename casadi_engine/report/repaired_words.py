@@ -9,9 +9,8 @@ from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
-from casadi_engine.discrepancy.verdict_words import given_fresh, may_hide, next_step
+from casadi_engine.discrepancy.verdict_words import acts_where, given_fresh, may_hide, next_step
 from casadi_engine.discrepancy.wording import (
-    acting_at,
     first_words,
     in_unit,
     is_blind,
@@ -127,7 +126,8 @@ def _where(repair: Repair) -> str:
         words.append(f"crank angles {first:.0f} to {last:.0f} deg")
     if place.order is not None:
         words.append(f"engine order {place.order:g}")
-    at = f"; {acting_at(repair.model, place.location)} explains most of it" if place.location else ""
+    acts = acts_where(repair)
+    at = f"; {acts} explains most of it" if acts else ""
     return f"The gap is widest {', '.join(words)}{at}"
 
 

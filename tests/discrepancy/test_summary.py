@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 import casadi_engine as ce
 from casadi_engine.discrepancy.repaired import SO_FAR, UNTOLD, Member, NextExperiment, Unknown
 from casadi_engine.discrepancy.summary import _told_by, noise_of_chi2
-from casadi_engine.discrepancy.verdict_words import headline, next_step
+from casadi_engine.discrepancy.verdict_words import acts_where, headline, next_step
 from casadi_engine.discrepancy.wording import in_unit, port_cure, twins
 
 
@@ -181,6 +181,19 @@ def test_the_cure_takes_a_speed_first():
 @pytest.mark.parametrize(("unit", "words"), [("1", ""), ("-", " (unit not stated)"), ("W/K", " W/K")])
 def test_units_behind_numbers(unit, words):
     assert in_unit(unit) == words
+
+
+def test_a_place_is_that_of_the_answer_or_not_said(leaking):
+    """Under answers at the yaw of a ship stood "a term at servo explains most of it"."""
+    assert acts_where(leaking) == "a volume flow at tank"
+    bare = replace(leaking, effects=(), unknown=None)
+    assert acts_where(bare) == "a volume flow at tank"
+    sensor = replace(bare, unknown=Unknown("the sensor level drifts", {}, "sensor_level"))
+    assert acts_where(sensor) == ""
+    assert "explains most of it" not in joined(sensor)
+    path = replace(bare, unknown=Unknown("the input q acts at tank", {}, "q_to_tank"))
+    assert acts_where(path) == "a volume flow at tank"
+    assert acts_where(replace(bare, where=None)) == ""
 
 
 def test_a_unit_that_was_not_stated_is_said_once(leaking):
