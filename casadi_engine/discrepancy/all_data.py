@@ -1,7 +1,7 @@
 """The model of a structure along all data, those of the search and fresh ones.
 
 A law may do on the data of the search what effects do, and they be named for being fewer numbers. On other motions they
-part: where fresh data are not described as the others are, both are held against each other by all of them.
+part: where fresh data confirm effects, both are held against each other by all data.
 """
 
 from __future__ import annotations

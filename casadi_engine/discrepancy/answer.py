@@ -269,8 +269,8 @@ class Answer:
         # what was recorded and acts on nothing may be all of the colour, by a law that slopes do not follow
         hidden = coloured and not found and unknown is None
         idle = tuple(unused_everywhere(last.fit.model, null.fit.free)) if hidden else ()
-        open_ = rival is not None and every is None
-        asked = open_ or bool(idle) or self._asks_refit(claim, law)
+        close = rival is not None and every is None  # all data would tell it by slopes
+        asked = close or bool(idle) or self._asks_refit(claim, law)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             first = law if looked else self._law(held, near)
             others = (*idle, *(() if first is None else first.others))
