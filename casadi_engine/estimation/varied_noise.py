@@ -4,8 +4,8 @@ A fit weighs all samples of an output alike. Where the squares of its residual g
 record, noise is not of one size: that of many instruments is a share of what they show. Where the residuals of two
 outputs go together, both sensors show one disturbance, and each is worth less than it says. The estimates of such a fit
 are right on average; their errors are those of the sandwich A^-1 B A^-1 of ``residual_noise``, with B of the residuals
-themselves: the sum over samples of slopes times squared residuals, each over what the estimates left of it, and as far
-as they left nothing with variances that are a smooth function of the output or the time. Rounding
+themselves: the sum over samples of slopes times squared residuals, each over what the estimates left of it; by the
+square of the share that they took, with variances that are a smooth function of the output or the time. Rounding
 is determined by the signal and comes back with it: B is found by rounding the simulation, moved within its errors.
 
 Source: White, Econometrica 48 (1980) 817; MacKinnon & White, J. Econometrics 29 (1985) 305 (their HC3); the test is

@@ -149,6 +149,13 @@ class Port:
                 allowed="links and pipes that the model makes of its inertias by itself",
                 cure="declare both inertias; what joins them is called a_and_b",
             )
+        if self.kind == "path" and len(self.ends) != 1:
+            raise ModelError(
+                f"the port {self.name} is a path without an end",
+                seen=f"ends = {self.ends!r}",
+                allowed="paths that the model makes of its inputs and inertias by itself",
+                cure="declare the input u and the inertia a; the path is called u_to_a",
+            )
         object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
 
     @property

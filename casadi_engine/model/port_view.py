@@ -30,12 +30,18 @@ class MissingSignalError(EffectError):
     def __init__(self, effect: str, port: Port, missing: Sequence[str]):
         self.missing, self.has = tuple(missing), tuple(port.signals)
         words = ", ".join(missing)
+        made = ", ".join(f"{name!r}: ..." for name in missing)
+        cure = (
+            f"give {' and '.join(port.ends)} what the law reads: a first signal of the right unit, of which it is made"
+            if port.ends
+            else "give the port what the law reads where the model is written: "
+            f"b.port({port.name!r}, {port.kind!r}, {{{made}}})"
+        )
         super().__init__(
             f"{effect or 'the effect'} cannot act at the port {port.name}, which has no signal {words}",
             seen=f"{port.name} has the signals {', '.join(self.has) or '(none)'}",
             allowed=near_matches(missing[0], self.has) if self.has else "a port that has them",
-            cure=f"give the port what the law reads where the model is written: "
-            f"b.port({port.name!r}, {port.kind!r}, {{{', '.join(f'{name!r}: ...' for name in missing)}}})",
+            cure=cure,
         )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_engine.distributions import f_sf
 from casadi_engine.estimation.fit_percent import FloatArray
-from casadi_engine.validation.correlation import Correlation
+from casadi_engine.validation.correlation import Correlation, autocorrelation
 from casadi_engine.validation.projection import ABSORBED
 from casadi_engine.validation.residual_tests import ResidualTest
 
@@ -57,12 +57,8 @@ def mean_test(residual: FloatArray, correlation: Correlation, reach: float = 1.0
 def memory_of(residual: FloatArray) -> float:
     """How many samples (n,) of a residual count for one independent one in what is slow; 1 where neighbours go together
     by no more than chance makes them."""
-    power, count = float(residual @ residual), len(residual)
-    if not power > 0:
-        return 1.0
-    rho = np.array(
-        [float(residual[k:] @ residual[:-k]) / power for k in range(1, min(_LAGS, count // 2) + 1)]
-    )
+    count = len(residual)
+    rho = _past(autocorrelation(residual, lags=min(_LAGS, count // 2)))
     return max(_memory(rho), 1.0) if len(rho) and rho[0] > _COLOUR / math.sqrt(count) else 1.0
 
 

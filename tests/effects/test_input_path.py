@@ -7,7 +7,8 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.effects import InputPath, ports_for
-from casadi_engine.errors import EffectError
+from casadi_engine.errors import EffectError, ModelError
+from casadi_engine.model.declarations import Port
 
 TIME = np.arange(600) * 0.1
 
@@ -79,6 +80,12 @@ def test_it_is_offered_to_inputs_of_the_unit_of_what_acts_there_and_to_those_tha
         EffectError, match="input_path is to act at a port that the model bridge does not have"
     ):
         bridge().with_effect(InputPath(), at="F_to_nowhere")
+    with pytest.raises(
+        EffectError, match=r"no signal difference.*give deck what the law reads: a first signal"
+    ):
+        bridge().with_effect(ce.effects.library("transfer")[0], at="F_to_deck")
+    with pytest.raises(ModelError, match=r"the port p is a path without an end.*the path is called u_to_a"):
+        Port("p", "path")
 
 
 @pytest.mark.parametrize(
