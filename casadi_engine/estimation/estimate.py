@@ -36,6 +36,7 @@ from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.second_look import looked_at_twice
 from casadi_engine.estimation.short_intervals import short_enough
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
+from casadi_engine.estimation.unused_parameters import held_if_unused
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
@@ -157,6 +158,7 @@ def estimate(
         "tolerance": tolerance,
         "warm": warm,
     }
+    idle = held_if_unused(model, arguments["parameters"])
     refuse_twins(records, [out.name for out in model.outputs])
     arguments["model"] = begun_late(arguments)
     within = is_set()  # then who set that deadline takes Ctrl-C too
@@ -187,6 +189,7 @@ def estimate(
         if late():
             raise
         raise KeyboardInterrupt from None  # there is no point yet
+    fit = replace(fit, messages=(*idle, *fit.messages))
     if asked.stopped and fit.status != "interrupted":
         return replace(fit, status="interrupted", messages=(_ENDED, *fit.messages))
     return fit

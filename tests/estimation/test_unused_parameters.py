@@ -1,0 +1,52 @@
+"""Free parameters that nothing asks for stay where they are, and the fit says so."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import casadi_engine as ce
+
+
+def _heated(used: bool = False) -> tuple[ce.Model, ce.Experiment]:
+    b = ce.Blueprint("cup")
+    C, G = b.parameter("C", 30.0, unit="J/K", min=1, max=100), b.parameter("G", 3.0, unit="W/K", min=0.1, max=100)
+    idle = b.parameter("idle", 1.0, unit="K", min=0, max=1e4)
+    T, P = b.state("T", unit="K"), b.input("P", unit="W")
+    b.ode("T", (P - G * T) / C)
+    b.output("T_cup", T + (idle - 1.0 if used else 0), unit="K")
+    time = np.arange(120) * 0.5
+    heat = np.where(time < 30, 60.0, 0.0)
+    risen = 20.0 * (1 - np.exp(-np.minimum(time, 30) * 3 / 20)) * np.exp(-np.maximum(time - 30, 0) * 3 / 20)
+    noise = 0.05 * np.random.default_rng(1).standard_normal(120)
+    record = ce.Experiment.from_arrays(
+        "run", time=time, units={"P": "W", "T_cup": "K"}, hold="zero", P=heat, T_cup=risen + noise
+    )
+    return b.model(), record
+
+
+def test_what_stands_in_no_equation_is_kept_and_said() -> None:
+    model, record = _heated()
+    fit = ce.estimate(model, record)
+    assert fit.values["idle"] == 1.0 and "idle" not in fit.free
+    assert "idle stands in no equation of cup and was kept at 1" in str(fit)
+    assert "Not determined" not in str(fit)
+    assert abs(fit.values["C"] - 20) < 0.2
+    assert model.parameters()["idle"].vary  # the model's own set is as it was
+
+
+def test_what_is_used_is_estimated() -> None:
+    model, record = _heated(used=True)
+    fit = ce.estimate(model, record, initial={"T": 0.0})
+    assert "idle" in fit.free and "stands in no equation" not in str(fit)
+
+
+def test_what_has_a_prior_or_a_tie_is_asked_for() -> None:
+    model, record = _heated()
+    pars = model.parameters()
+    pars["idle"].set(prior=(2.0, 0.1))
+    fit = ce.estimate(model, record, parameters=pars)
+    assert abs(fit.values["idle"] - 2.0) < 1e-6
+    pars = model.parameters()
+    pars.tie("G", "3 * idle")
+    fit = ce.estimate(model, record, parameters=pars)
+    assert abs(fit.values["idle"] - 1.0) < 0.05 and "idle" in fit.free
