@@ -348,3 +348,17 @@ def test_a_wrong_sensor_is_no_parameter_that_moved():
         "the parameters were found from the measurement of copy: it tells nothing of fresh data"
         in check.notes
     )
+
+
+def test_what_single_samples_hide_is_not_called_passed(first):
+    fit, force, output = first
+    coded = output.copy()
+    coded[200] = -9999.0
+    check = ce.validate(fit.model, record("coded", force, coded, 1), parameters=fit.parameters)
+    assert not check.passed
+    if not check.failed:
+        assert "NOT TESTED" in str(check) and "beside single samples" in str(check)
+    assert "Next: look at the data first, as noted above, and test again" in str(check)
+    assert "Note: 1 single sample holds most of what the model leaves: x of coded" in " ".join(str(check).split())
+    own = ce.validate(ce.estimate(fit.model, record("own", force, coded, 1), progress=False))
+    assert not own.passed and "look at the data first" in str(own)
