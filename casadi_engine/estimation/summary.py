@@ -446,10 +446,24 @@ def next_steps(fit: Fit) -> list[str]:
     if any(UNKNOWN in words for words in fit.messages):
         steps.append("state the noise level that is not known, as noted above, and fit again")
     elif fit.doubted:
-        steps.append("the errors that the data do tell: print(ce.posterior(fit))")
+        steps.append(f"{_bounded_first(fit)}the errors that the data do tell: print(ce.posterior(fit))")
     if not steps:
         steps.append(FRESH)
     return steps
+
+
+def _bounded_first(fit: Fit) -> str:
+    """What a posterior asks for before it is drawn: bounds or a prior of each parameter that is no effect's."""
+    keys = tuple(f"{one.key}." for one in fit.model.effects)
+    names = [name for name in dict.fromkeys(free.partition("@")[0] for free in fit.free)
+             if not (keys and name.startswith(keys)) and _is_open(fit.parameters[name])]  # fmt: skip
+    if not names:
+        return ""
+    return f'give {" and ".join(names)} bounds on both sides, pars["{names[0]}"].set(min=..., max=...), fit again, then '
+
+
+def _is_open(parameter: Parameter) -> bool:
+    return parameter.prior is None and not (math.isfinite(parameter.min) and math.isfinite(parameter.max))
 
 
 def _cure(fit: Fit, weights: object) -> str:

@@ -1,5 +1,8 @@
 """The texts that Fit and Validation print."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,6 +57,19 @@ def test_no_error_is_printed_that_is_doubted(factory):
     assert "the errors that the data do tell: print(ce.posterior(fit))" in next_steps(
         factory.doubted(factory.fit())
     )
+
+
+def test_a_posterior_is_not_named_without_the_bounds_that_it_asks_for(factory):
+    fit = factory.doubted(factory.fit())
+    pars = fit.parameters.copy()
+    pars["J_load"].set(max=math.inf)
+    said = next_steps(replace(fit, parameters=pars))
+    assert any(
+        words.startswith("give J_load bounds on both sides") and words.endswith("print(ce.posterior(fit))")
+        for words in said
+    )
+    pars["J_load"].set(prior=(0.18, 0.05))
+    assert not any("bounds on both sides" in words for words in next_steps(replace(fit, parameters=pars)))
 
 
 @pytest.mark.parametrize("records", [1, 3, 40])
