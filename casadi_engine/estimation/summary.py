@@ -459,7 +459,8 @@ def _bounded_first(fit: Fit) -> str:
              if not (keys and name.startswith(keys)) and _is_open(fit.parameters[name])]  # fmt: skip
     if not names:
         return ""
-    return f'give {" and ".join(names)} bounds on both sides, pars["{names[0]}"].set(min=..., max=...), fit again, then '
+    how = f'pars["{names[0]}"].set(min=..., max=...)'
+    return f"give {' and '.join(names)} bounds on both sides, {how}, fit again, then "
 
 
 def _is_open(parameter: Parameter) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from casadi_engine.errors import PosteriorError
 from casadi_engine.posterior.result import Posterior
+from casadi_engine.posterior.summary import NARROW
 
 
 @dataclass(frozen=True)
@@ -17,12 +18,14 @@ class Comparison:
     """Models of the same records by their evidence.
 
     log_evidence, error : name -> log evidence and its standard error; probability : name -> that of the model, if all
-    were as probable before the records were seen. The best one is the first
+    were as probable before the records were seen. The best one is the first; narrower : by what factor errors of the
+    best one are larger than by white noise, which the evidence counts with
     """
 
     log_evidence: Mapping[str, float]
     error: Mapping[str, float]
     probability: Mapping[str, float]
+    narrower: float = 1.0
 
     def __str__(self) -> str:
         best = next(iter(self.log_evidence.values()))
@@ -33,6 +36,11 @@ class Comparison:
             share = 100 * self.probability[name]
             probable = f"{share:10.3g} %" if share >= 1e-3 or share == 0 else "   < 0.001 %"
             lines.append(f"{name:{wide}s}  {own:12.2f} {error:7s}  {best - own:10.2f}  {probable}")
+        if self.narrower >= NARROW:
+            lines.append(
+                f"the residual of {next(iter(self.log_evidence))} is coloured or larger than stated, and the evidence "
+                f"counts with white noise: what the models differ by is up to {self.narrower**2:.2g} times too large"
+            )
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
@@ -92,6 +100,7 @@ def compare(posteriors: Mapping[str, Posterior]) -> Comparison:
         dict(zip(order, logs.tolist(), strict=True)),
         {name: posteriors[name].log_evidence_error for name in order},
         dict(zip(order, (share / share.sum()).tolist(), strict=True)),
+        posteriors[order[0]].narrower,
     )
 
 

@@ -107,6 +107,12 @@ class Posterior:
         return float(low), float(high)
 
     @property
+    def narrower(self) -> float:
+        """By what factor the errors of the fit are larger by the residual's own noise than by white noise, which the
+        likelihood counts with; of the parameter of which it is most."""
+        return max((self.fit.own_noise.get(name, 1.0) for name in self.fit.free), default=1.0)
+
+    @property
     def median(self) -> dict[str, float]:
         """Name -> median."""
         return {name: float(np.median(own)) for name, own in self.draws.items()}

@@ -15,12 +15,13 @@ _LEVELS = (50, 80, 95)
 # Share of the prior in a 95 % interval of the posterior from which the records tell hardly anything.
 _UNTOLD = 0.8
 # By what factor the errors of the residual's own noise are larger from which intervals are said to be too narrow.
-_NARROW = 1.1
+NARROW = 1.1
 
 
 def table(post: Posterior) -> str:
     """Median and intervals, with R-hat where there are chains, and the effective sample size."""
-    head = ["parameter", "median", *(f"{level} % interval" for level in _LEVELS), "unit"]
+    what = "interval" if post.narrower < NARROW else "if white"
+    head = ["parameter", "median", *(f"{level} % {what}" for level in _LEVELS), "unit"]
     head += ["R-hat", "ESS"] if post.rhat else ["ESS"]
     rows = [head]
     for name, unit in zip(post.names, post.units, strict=True):
@@ -102,13 +103,13 @@ def _states(post: Posterior) -> list[str]:
 
 def _noise(post: Posterior) -> list[str]:
     """That the likelihood counts with white noise, where the residual is none."""
-    fit = post.fit
-    most = max((fit.own_noise.get(name, 1.0) for name in fit.free), default=1.0)
-    if most < _NARROW:
+    most = post.narrower
+    if most < NARROW:
         return []
     return [
         "the residual is coloured or larger than stated, and the likelihood counts with white noise: intervals are up "
-        f"to {most:.2g} times too narrow; the fit's ± and ce.profile(fit) count with the residual as it is"
+        f"to {most:.2g} times too narrow, and stand as 'if white'; the fit's ± and ce.profile(fit) count with the "
+        "residual as it is"
     ]
 
 

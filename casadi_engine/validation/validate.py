@@ -70,8 +70,8 @@ class Validation:
     """The answer of ``validate``.
 
     records : record -> output -> OutputCheck
-    passed : tests were made, none is rejected at ``alpha`` over all of them (Holm), and no single wild samples hide what
-    they look for
+    passed : tests were made, none is rejected at ``alpha`` over all of them (Holm), and no single wild samples hide
+    what they look for
     failed : the rejected ones as "record/output/whiteness", ".../mean", ".../size", "record/output/drive", "parameters"
     or "bounds"; fit : the parameters held and the initial states found on these data; parameters : whether fresh data
     agree with these within their errors, None for a fit's own data and for parameters that were given; notes : what the

@@ -27,6 +27,11 @@ def test_a_damper_that_is_there_is_asked_for(post, run_up):
     assert sum(found.probability.values()) == pytest.approx(1.0)
     assert "right damper" in str(found).splitlines()[1]
     assert found.to_dict()["error"]["right damper"] == right.log_evidence_error
+    assert "white noise" not in str(found)
+    coloured = replace(right, fit=replace(right.fit, own_noise={"J_eng": 3.0}))
+    found = compare({"right damper": coloured, "free damper": post})
+    assert "the residual of right damper is coloured" in str(found)
+    assert "up to 9 times too large" in str(found)
 
 
 def test_only_posteriors_of_the_same_records_are_compared(post, run_up):

@@ -358,7 +358,10 @@ def test_it_says_where_its_intervals_are_too_narrow(post):
     assert "too narrow" not in str(post)
     assert post.untold_states == (0, 1)
     coloured = replace(post, fit=replace(post.fit, own_noise={"J_eng": 1.5, "C_eng": 3.0}))
-    assert "intervals are up to 3 times too narrow; the fit's ± and ce.profile(fit)" in str(coloured)
+    assert "the fit's ± and ce.profile(fit) count with the residual as it is" in str(coloured)
+    assert "up to 3 times too narrow, and stand as 'if white'" in str(coloured)
+    assert "95 % if white" in str(coloured)
+    assert "95 % interval" not in str(coloured)
     untold = replace(post, untold_states=(9, 13))
     assert "the records hardly tell 9 of 13 directions of their initial states" in str(untold)
 
