@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +13,7 @@ import typer
 from casadi_engine.cli.job import say
 from casadi_engine.cli.options import Options
 from casadi_engine.errors import ResultError
+from casadi_engine.experiment import Experiment
 
 if TYPE_CHECKING:
     from casadi_engine.parameters import Parameters
@@ -28,18 +29,26 @@ From = Annotated[
 ]
 
 
-def with_effects_of(path: Path, problem: Problem) -> Problem:
-    """The problem with the effects that a stored repair found in its model; as it is for any other result.
+def as_repaired(path: Path, problem: Problem) -> Problem:
+    """The problem with what a stored repair found: effects in its model, and how inputs of its records go on between
+    their samples where it took them otherwise than they were read; as it is for any other result.
 
     ResultError for an effect that is none of the library's.
     """
+    found = _document(path)
+    if found.get("command") != "repair":
+        return problem
+    return _with_holds(_with_effects(path, problem, found.get("effects") or ()), found.get("with_hold") or {})
+
+
+def _with_effects(path: Path, problem: Problem, added: Iterable[Mapping[str, Any]]) -> Problem:
+    """The problem with stored effects in its model."""
     from casadi_engine.effects import library
     from casadi_engine.effects.protocol import moves
     from casadi_engine.errors import EffectError
 
-    found, model = _document(path), problem.model
-    added = found.get("effects") if found.get("command") == "repair" else None
-    for one in added or ():
+    model = problem.model
+    for one in added:
         name, at = str(one["name"]), str(one["at"])
         try:
             (effect,) = library(name)
@@ -63,6 +72,24 @@ def with_effects_of(path: Path, problem: Problem) -> Problem:
     if model is problem.model:
         return problem
     return dataclasses.replace(problem, model=model, parameters=problem.parameters.extended(model))
+
+
+def _with_holds(problem: Problem, holds: Mapping[str, str]) -> Problem:
+    """The problem whose records are read with inputs that go on so between their samples."""
+    if not holds:
+        return problem
+
+    def held(record: Any) -> Any:
+        if not isinstance(record, Experiment):
+            return record
+        return record.with_hold(**{name: hold for name, hold in holds.items() if name in record})
+
+    read = " and ".join(f'{name}="{hold}"' for name, hold in holds.items())
+    say(f"The records are read as the repair took them, with_hold({read})")
+    records, others = (tuple(map(held, part)) for part in (problem.records, problem.validation))
+    return dataclasses.replace(
+        problem, read=lambda path: held(problem.read(path)), records=records, validation=others
+    )
 
 
 def values_of(path: Path, parameters: Parameters, *, given: Options) -> Parameters:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from casadi_engine.cli.earlier import From, values_of, with_effects_of
+from casadi_engine.cli.earlier import From, as_repaired, values_of
 from casadi_engine.cli.folder import refuse_others, remove_files, simulated_files
 from casadi_engine.cli.job import ANSWERED, Job, run, say
 from casadi_engine.cli.options import (
@@ -54,7 +54,7 @@ def _work(job: Job) -> int:
     from casadi_engine.report import Simulated, text
 
     earlier = job.options.extra["from_"]
-    problem = job.problem if earlier is None else with_effects_of(earlier, job.problem)
+    problem = job.problem if earlier is None else as_repaired(earlier, job.problem)
     parameters = problem.parameters
     if earlier is not None:
         parameters = values_of(earlier, parameters, given=job.options)

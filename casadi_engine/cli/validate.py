@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from casadi_engine.cli.earlier import From, noise_of, values_of, with_effects_of
+from casadi_engine.cli.earlier import From, as_repaired, noise_of, values_of
 from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run, say
 from casadi_engine.cli.options import (
     Data,
@@ -54,7 +54,7 @@ def _work(job: Job) -> int:
 
     options, earlier = job.options, job.options.extra["from_"]
     if earlier is not None:
-        job = replace(job, problem=with_effects_of(earlier, job.problem))
+        job = replace(job, problem=as_repaired(earlier, job.problem))
     parameters = job.problem.parameters
     if earlier is not None:
         parameters = values_of(earlier, parameters, given=options)

@@ -72,6 +72,7 @@ from casadi_engine.discrepancy.repaired import (
     TOO_LITTLE,
     UNCONFIRMED,
     UNJUDGED,
+    UNTRIED,
     FoundEffect,
     Gaps,
     NextExperiment,
@@ -285,6 +286,8 @@ class Answer:
                 and (rival is None or law is None or far or again.log > law.log)
             ):
                 law, rival = again, said
+            if rival is not None and said is None and self._was_cut("refitted law"):
+                rival = replace(rival, sentence=f"{rival.sentence}, but {UNTRIED}")
         if not found and law is not None and ahead(self.search) > law.log:
             return claim  # what was refitted says more than what a function does along the motion without it
         if rival is None or law is None:
@@ -435,10 +438,13 @@ class Answer:
             with self.search.deadline.spared(share):
                 return self._timed(what, work)
         except TimeUp:
-            self.messages.append(f"{_LEFT_OUT.get(what, what)}: not looked for, as the time was up")
+            self.messages.append(_cut(what))
         except FAILURES as fault:
             self.messages.append(f"{_LEFT_OUT.get(what, what)}: not told, as its numbers fail ({fault})")
         return None
+
+    def _was_cut(self, what: str) -> bool:
+        return _cut(what) in self.messages
 
     # ---- parts
 
@@ -509,6 +515,11 @@ def _noise_of_place(last: Station) -> NoiseModel:
     """The noise beside which a gap is looked for: the stated one where the residual is larger, as its colour would hide
     what is looked for."""
     return last.screened.choice.stated or last.screened.noise
+
+
+def _cut(what: str) -> str:
+    """That an answer does without something, for want of time."""
+    return f"{_LEFT_OUT.get(what, what)}: not looked for, as the time was up"
 
 
 def _said(

@@ -30,6 +30,8 @@ _DELAY = "sensor_delay"
 _ERRORS, _SHARE = 3.0, 0.25
 # Logarithm of the largest odds that are told.
 _MOST = 100.0
+# Key of a repair's options: input -> how the answer takes it to go on between its samples, other than it was read.
+TAKEN = "taken as held"
 _WORDS = {"zero": "held between its samples", "first": "joined by lines between its samples"}
 
 
@@ -70,7 +72,8 @@ class OtherHold:
                 f"The delay is half a sample. If {names}, the records are {odds} as probable without it: where you "
                 f"know that, give record.with_hold({read})"
             )
-        return replace(repair, options={**repair.options, "hold": words})
+        taken = {TAKEN: dict(self.holds)} if again else {}
+        return replace(repair, options={**repair.options, **taken, "hold": words})
 
 
 def other_hold(

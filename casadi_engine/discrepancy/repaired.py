@@ -36,6 +36,7 @@ FRESH_DATA = "the fresh data"
 UNTOLD = "the time was up before it could be told whether anything is missing"
 # What is said of a law that is seen along a simulation far from the motion.
 FAR_OFF = "where it acts is not certain"
+UNTRIED = "it was not tried in the equations, as the time was up: where it acts is not certain"
 # How the word on what came nearest begins, where the time was up before its fit.
 SO_FAR = "the most probable so far is"
 MORE_THAN_NOISE = (

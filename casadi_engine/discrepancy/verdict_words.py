@@ -17,7 +17,15 @@ from casadi_engine.discrepancy.fresh_misfit import (
     is_far_beyond,
     is_louder,
 )
-from casadi_engine.discrepancy.repaired import FAR_OFF, FRESH_DATA, SO_FAR, UNCONFIRMED, UNTOLD, in_its_place
+from casadi_engine.discrepancy.repaired import (
+    FAR_OFF,
+    FRESH_DATA,
+    SO_FAR,
+    UNCONFIRMED,
+    UNTOLD,
+    UNTRIED,
+    in_its_place,
+)
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
     BOUNDS,
@@ -146,7 +154,7 @@ def _law_alone(repair: Repair) -> str:
     unknown = repair.unknown
     if unknown is None or unknown.course is None or unknown.odds is None or unknown.odds < FACTOR:
         return ""
-    doubt = f", but {FAR_OFF}" if unknown.sentence.endswith(FAR_OFF) else ""
+    doubt = next((f", but {one}" for one in (UNTRIED, FAR_OFF) if unknown.sentence.endswith(one)), "")
     return f": {re.split(_ODDS, unknown.sentence)[0]}{doubt}"
 
 

@@ -31,6 +31,8 @@ from casadi_engine.simulation.propagator import fineness_of
 
 Array = NDArray[np.float64]
 
+# What takes the place of errors where there are none.
+_NO_ERRORS = "there are no standard errors, as this is no optimum"
 # Growth of the errors from which it is stated as a number.
 _SEEN = 1.05
 # Independent samples with fewer of which the colour of a residual is hardly known.
@@ -90,7 +92,8 @@ def make_fit(
         errors, ratio, effective = with_own_noise(search, best, white, noises, varied)
     found = judged(search, best, white, errors, optima, residuals, check=None if stopped else check)
     cost = printed_cost(search, v, residuals)
-    noise_words = _noise_words(search, (noises, varied), ratio if errors is not white else None, effective)
+    then = _then(ratio if errors is not white else None, effective) if errors.optimal else _NO_ERRORS
+    noise_words = _noise_words(search, noises, varied, then)
     noise_words += _quieter_words(search, best)
     said = _messages(search, best, errors, reason, optima, stopped, noise_words) + _against_priors(
         search, white
@@ -396,28 +399,30 @@ def _quieter_words(search: Search, best: Attempt) -> list[str]:
     ]
 
 
-def _noise_words(
-    search: Search,
-    seen: tuple[Sequence[OwnNoise], Sequence[Varied]],
-    ratio: Array | None,
-    effective: float,
-) -> list[str]:
-    """Outputs whose residuals are larger than stated, not white, not of one size or not by themselves, and what that
-    does to the standard errors.
+def _then(ratio: Array | None, effective: float) -> str:
+    """What the residual's own noise does to the standard errors.
 
     ratio : (N,) by how much the errors are larger than those of white noise, None where they do not count with it
     effective : independent samples that the most coloured one is worth
     """
-    then = "the standard errors are too small"
-    if ratio is not None:
-        most = float(ratio.max(initial=1.0))
-        then = f"the standard errors count with that: they are up to {most:.2g} times those of white noise"
-        if most < _SEEN:
-            then = "the standard errors count with that, and are those of white noise here"
-        if effective < _EFFECTIVE:
-            few = f"the residual is worth about {max(round(effective), 1)} independent samples"
-            then += f", and may still be too small, as {few}"
-    found, (noises, varied) = [], seen
+    if ratio is None:
+        return "the standard errors are too small"
+    most = float(ratio.max(initial=1.0))
+    then = f"the standard errors count with that: they are up to {most:.2g} times those of white noise"
+    if most < _SEEN:
+        then = "the standard errors count with that, and are those of white noise here"
+    if effective < _EFFECTIVE:
+        few = f"the residual is worth about {max(round(effective), 1)} independent samples"
+        then += f", and may still be too small, as {few}"
+    return then
+
+
+def _noise_words(
+    search: Search, noises: Sequence[OwnNoise], varied: Sequence[Varied], then: str
+) -> list[str]:
+    """Outputs whose residuals are larger than stated, not white, not of one size or not by themselves; then : what that
+    does to the standard errors."""
+    found = []
     for one in noises:
         key = f"{search.records[one.at].experiment.name}/{one.output}"
         if one.level is not None and one.others is not None and one.level > one.others:

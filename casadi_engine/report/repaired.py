@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from casadi_engine.discrepancy.confirmation import PairedGain
+from casadi_engine.discrepancy.input_hold import TAKEN
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, Nearest, Place, Repair, Side, Unknown
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.report.result_file import (
@@ -68,6 +69,7 @@ def _(result: Repair) -> dict[str, Any]:
         else {"text": result.equation.text, "latex": result.equation.latex},
         "scores": _scores(result),
         "score_noise": _score_noise(result),
+        "with_hold": dict(result.options.get(TAKEN, {})),
         "fresh": [one.name for one in result.fresh],
         "stopped": result.stopped,
         "not_searched": list(result.not_searched),

@@ -179,6 +179,18 @@ def _off_on_average(again: Refit, failed: Sequence[str], units: Mapping[str, str
     return said
 
 
+def _held_otherwise(fit: Fit, held: Fit) -> list[str]:
+    """Inputs that go on in another way between their samples than on the records of the fit, where those agree."""
+    known = [{one.name: {r[one.name].hold for r in part if one.name in r} for one in fit.model.inputs}
+             for part in (fit.data, held.data)]  # fmt: skip
+    names = [name for name, own in known[0].items() if len(own) == 1 and known[1][name] - own]
+    return [
+        f'{name} goes on otherwise between its samples than in the fit: read these data with_hold({name}="'
+        f'{next(iter(known[0][name]))}") where it is the same there'
+        for name in names
+    ]
+
+
 def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Sequence[str]) -> tuple[str, ...]:
     """What the user should know beside the tests."""
     outputs = [out.name for out in fit.model.outputs]
@@ -191,6 +203,7 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
         said.append(
             f"the initial states were not found on these data: {held.status}; the tests are of that point"
         )
+    said += _held_otherwise(fit, held) if held is not fit else []
     said += faults(held)
     if again is None:
         return tuple(said)

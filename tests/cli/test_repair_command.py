@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from casadi_engine import cli, discrepancy
+from casadi_engine.discrepancy.input_hold import TAKEN
 from casadi_engine.discrepancy.repaired import UNTOLD, Unknown
 from casadi_engine.errors import NotConvergedError
 from casadi_engine.report import load_result
@@ -147,6 +148,24 @@ def test_the_page_opens_alone_and_the_result_is_read_back(found, folder):
     assert len(page) < 3_000_000
     again = load_result(folder / "found")
     assert again.values["engine.coulomb_friction.torque"] == pytest.approx(3.0, abs=0.1)
+
+
+def test_how_the_answer_took_the_inputs_goes_along_with_it(folder, canned, found, capsys):
+    """A right model with a held input, which `repair` had found by itself, failed on the records that were read as
+    lines again."""
+    canned(options={**found.answer.options, TAKEN: {"T": "zero"}})
+    code, result = run(folder, out="taken")
+    assert (code, result["with_hold"]) == (0, {"T": "zero"})
+    assert found.result["with_hold"] == {}
+    capsys.readouterr()
+    problem = str(folder / "problem.py")
+    for command in ("validate", "simulate"):
+        options = ["--from", str(folder / "taken"), "--out", str(folder / f"taken_{command}")]
+        assert cli.main([command, problem, *options]) == 0
+        assert 'as the repair took them, with_hold(T="zero")' in capsys.readouterr().out
+    stored = json.loads((folder / "taken_validate" / "result.json").read_text())
+    holds = {one["name"]: one["hold"] for one in stored["inputs"][0]["channels"]}
+    assert holds == {"T": "zero", "omega": "first"}
 
 
 def test_what_reaches_repair(found):

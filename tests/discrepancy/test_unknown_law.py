@@ -1,6 +1,7 @@
 """An unknown law in the place of effects that were found: more probable than wrong names, less than right ones."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import casadi as ca
@@ -14,7 +15,7 @@ from casadi_engine.discrepancy.certificate import in_place_of, law_words
 from casadi_engine.discrepancy.random_families import Family
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.refits import Refits
-from casadi_engine.discrepancy.repaired import Unknown, in_its_place
+from casadi_engine.discrepancy.repaired import UNTRIED, Unknown, in_its_place
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.unknown_law import (
     UnknownLaw,
@@ -194,6 +195,8 @@ def test_a_law_along_a_simulation_that_is_far_off_has_no_certain_place(far):
     found = SimpleNamespace(unknown=unknown)
     said = ": an unknown torque at engine that depends on its speed"
     assert _law_alone(found) == said + (", but where it acts is not certain" if far else "")
+    untried = replace(unknown, sentence=f"{unknown.sentence}, but {UNTRIED}")
+    assert _law_alone(SimpleNamespace(unknown=untried)) == f"{said}, but {UNTRIED}"
 
 
 def test_laws_that_the_data_do_not_tell_apart_are_named_together():

@@ -366,3 +366,12 @@ def test_what_single_samples_hide_is_not_called_passed(first):
     own = ce.validate(ce.estimate(fit.model, record("own", force, coded, 1), progress=False))
     assert not own.passed
     assert "look at the data first" in str(own)
+
+
+def test_an_input_that_goes_on_otherwise_is_said(first):
+    fit, force, output = first
+    other = record("other", force, output, 1)
+    hold = "first" if fit.data[0]["F"].hold == "zero" else "zero"
+    said = " ".join(str(ce.validate(fit, other.with_hold(F=hold))).split())
+    assert f'read these data with_hold(F="{fit.data[0]["F"].hold}")' in said
+    assert "with_hold" not in str(ce.validate(fit, other))
