@@ -10,9 +10,11 @@ import casadi as ca
 from casadi_engine.discrepancy.clocks import Clock, clock_of
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.estimation.summary import with_error
+from casadi_engine.model.linearity import is_affine
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import Repair
+    from casadi_engine.model import Model
 
 _DELAY, _LAG = "sensor_delay", "sensor_lag"
 _CONSTANT, _SAME = "constant_torque", " does the same"
@@ -42,12 +44,19 @@ def common_delay(repair: Repair) -> str:
         return ""  # it is in the class
     behind = {one.at: one for one in repair.effects if one.name == _LAG}
     whole = all(_is_whole(one.amplitude) for one in behind.values())
-    if set(behind) != sensors or not whole or repair.null_fit.model.linear is None:
+    if set(behind) != sensors or not whole or not _is_linear(model):
         return ""
     times = [one.parameters[f"{at}.{_LAG}.time"] for at, one in behind.items()]
     if time := _one_time(times, clock):
         return _said(len(sensors), "behind", f"{which} through a lag of {time} (an actuator)")
     return ""
+
+
+def _is_linear(model: Model) -> bool:
+    """True of a model that answers a sum of inputs by the sum of its answers, with the effects that were found."""
+    return is_affine(
+        ca.vertcat(model.closed_ode, model.closed_outputs), ca.vertcat(model.x, model.u), ca.SX(0, 1)
+    )
 
 
 def as_an_input(repair: Repair) -> list[str]:

@@ -5,7 +5,9 @@ from types import SimpleNamespace
 import casadi as ca
 import pytest
 
+import casadi_engine as ce
 from casadi_engine.discrepancy.common_delay import as_an_input, common_delay
+from casadi_engine.estimation.fit import Estimate
 from casadi_engine.model.term import NotApplicable
 
 
@@ -75,3 +77,31 @@ def test_a_constant_may_be_an_offset_of_an_input(at, said):
     repair = SimpleNamespace(not_applicable=why, effects=[SimpleNamespace(members=members)])
     words = "A constant at air is what an offset of the input Tamb does: no data tell them apart"
     assert as_an_input(repair) == ([words] if said else [])
+
+
+@pytest.mark.parametrize("drag", [False, True])
+def test_a_lag_of_the_sensor_is_one_of_the_input_in_linear_equations_alone(drag):
+    """Said of the model without effects, it was told of a repaired one with a cubic spring, which tells them apart."""
+    b = ce.Blueprint("mass")
+    k = b.parameter("k", 3.0, unit="N/m", min=0.1)
+    z, v, force = b.state("z", unit="m"), b.state("v", unit="m/s"), b.input("F", unit="N")
+    b.ode("z", v)
+    b.ode("v", force - k * z - 0.2 * v + b.port("spring", "inertia", {"speed": v, "angle": z}))
+    b.output("z_seen", z, unit="m")
+    model = b.model().with_effect(ce.effects.SensorLag(), at="sensor_z_seen")
+    if drag:
+        model = model.with_effect(ce.effects.QuadraticDrag(), at="spring")
+    one = SimpleNamespace(
+        name="sensor_lag",
+        at="sensor_z_seen",
+        amplitude=SimpleNamespace(value=1.0, stderr=0.01, quadratic=None),
+        parameters={"sensor_z_seen.sensor_lag.time": Estimate(0.06, 0.001, "s")},
+        members=(SimpleNamespace(name="sensor_lag", at="sensor_z_seen"),),
+    )
+    said = common_delay(SimpleNamespace(model=model, effects=[one]))
+    assert said == (
+        ""
+        if drag
+        else "The only sensor is behind: where the input F acts through a lag of 0.0600 ± 0.0010 s (an actuator), the "
+        "data are the same"
+    )
