@@ -6,6 +6,8 @@ import numpy as np
 
 from casadi_engine.estimation.fit import Fit
 
+# Key of a fit's options: from how many other starts it was searched too, as it was lost.
+OTHERS = "other starts"
 # Share of an output's motion, in per cent, below which a fit may well be lost: at a wrong resonance it is.
 FOLLOWED = 70.0
 # Samples from which on what passes for white is noise, however large it is; an oscillation that is missed altogether

@@ -13,7 +13,7 @@ import numpy as np
 from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
-from casadi_engine.estimation.followed import lost
+from casadi_engine.estimation.followed import OTHERS, lost
 from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.lower_optimum import merit
 
@@ -52,7 +52,8 @@ def looked_at_twice(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
         return fit
     if lost(fit):
         found = _another(fit, again, {"approach": "prediction"}, _TIMES, {"approach": BOTH}, _WORTH)
-        return _another(found, again, {"starts": _STARTS}, _TIMES, {}, _WORTH) if lost(found) else found
+        searched = {OTHERS: _STARTS}
+        return _another(found, again, {"starts": _STARTS}, _TIMES, searched, _WORTH) if lost(found) else found
     if not fit.converged:
         return fit
     several = fit.options.get("interval") == "auto" and fit.model.linear is None and fit.nodes > len(fit.data)

@@ -13,7 +13,7 @@ from casadi_engine.estimation.behind_a_bound import NOT_TOLD
 from casadi_engine.estimation.faulty_samples import IN_DOUBT, faults
 from casadi_engine.estimation.few_samples import UNKNOWN
 from casadi_engine.estimation.fit import Estimate, Fit
-from casadi_engine.estimation.followed import lost
+from casadi_engine.estimation.followed import OTHERS, lost
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
 from casadi_engine.experiment.units import unit_words
 
@@ -421,6 +421,13 @@ def next_steps(fit: Fit) -> list[str]:
             steps.append(
                 f"the simulation follows {max(share, 0.0):.0f} % of {key}, and no parameter is free: free some, or "
                 "ce.repair(model, data) looks for what the model lacks"
+            )
+            break
+        if OTHERS in fit.options:
+            steps.append(
+                f"the simulation follows {max(share, 0.0):.0f} % of {key}, and no search over short pieces or from "
+                f"{fit.options[OTHERS]} other starts led lower: look at what is left, ce.plot(fit); where that is no "
+                "noise, ce.repair(model, data) looks for what the model lacks"
             )
             break
         how = 'approach="prediction"' if fit.options.get("approach") == "direct" else "starts=20"

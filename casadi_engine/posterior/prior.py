@@ -27,6 +27,7 @@ class Prior:
     def __init__(self, pmap: ParameterMap, coordinates: Coordinates) -> None:
         self._coordinates = coordinates
         self.low, self.high = coordinates.of(pmap.lower), coordinates.of(pmap.upper)
+        self._bounds = list(zip(pmap.lower.tolist(), pmap.upper.tolist(), strict=True))
         own = {one.label: (one.mean, one.sigma) for one in pmap.priors if one.label in pmap.free}
         self._normal = np.array([name in own for name in pmap.free], dtype=bool)
         self._mean, self._sigma = (
@@ -102,6 +103,14 @@ class Prior:
         if self._coordinates.log[k]:
             return float(np.log(high / low) / width)
         return float((high - low) / self._coordinates.scale[k] / width)
+
+    def bounds(self, k: int) -> tuple[float, float]:
+        """The bounds of one parameter in its unit, infinite where there are none."""
+        return self._bounds[k]
+
+    def along(self, k: int, values: Array) -> Array:
+        """(n,) values of one parameter, in its unit, in the coordinate in which the prior is flat."""
+        return np.log(values) if self._coordinates.log[k] else np.asarray(values, dtype=float)
 
     def coordinate_slope(self, k: int, values: Array) -> Array:
         """dv/dz of one parameter at values in its unit: what makes a density in v one in the unit."""

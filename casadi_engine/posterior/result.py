@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -22,6 +23,10 @@ from casadi_engine.posterior.prior import Prior
 from casadi_engine.posterior.target import Target
 
 Array = NDArray[np.float64]
+
+# Share of an interval from a bound within which draws are counted beside its ends; standard deviations of such a count
+# beyond which one end is denser by no chance.
+_BESIDE, _CHANCE = 0.05, 3.0
 
 
 @dataclass(frozen=True)
@@ -101,10 +106,29 @@ class Posterior:
         return self.values[:, self.names.index(name)]
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """The interval that holds the parameter with this probability, as much on either side, in its unit."""
+        """The interval that holds the parameter with this probability, in its unit: as much is left out on either side,
+        or, where the density does not fall towards a bound, all of it on the other one."""
         check_level(level, PosteriorError)
-        low, high = np.quantile(self[name], [(1 - level) / 2, (1 + level) / 2])
+        own, k = self[name], self.names.index(name)
+        if k < len(self.prior.low):
+            for side in (0, 1):
+                bound = self.prior.bounds(k)[side]
+                end = float(np.quantile(own, level if side == 0 else 1 - level))
+                if np.isfinite(bound) and self._is_denser(k, bound, end):
+                    return (bound, end) if side == 0 else (end, bound)
+        low, high = np.quantile(own, [(1 - level) / 2, (1 + level) / 2])
         return float(low), float(high)
+
+    def _is_denser(self, k: int, bound: float, end: float) -> bool:
+        """True if draws of the coordinate of a parameter are denser beside its bound than beside the other end of an
+        interval that begins there, by more than chance makes them."""
+        along, name = self.prior.along, self.names[k]
+        at, first, last = along(k, self.values[:, k]), *along(k, np.array([bound, end]))
+        near = _BESIDE * abs(last - first)
+        weight = min(self.bulk[name] / len(at), 1.0)
+        beside, other = (weight * np.count_nonzero(np.abs(at - place) <= near) for place in (first, last))
+        other /= 2  # to both sides of it
+        return bool(beside - other > _CHANCE * math.sqrt(beside + other))
 
     @property
     def narrower(self) -> float:

@@ -340,7 +340,6 @@ def test_it_says_of_what_the_records_tell_hardly_anything(run_up):
 
 
 def test_it_says_where_the_fit_ended_at_a_poor_optimum(post):
-    from dataclasses import replace
 
     assert "outside all draws" not in str(post)
     estimates = dict(post.fit.estimates)
@@ -353,7 +352,6 @@ def test_it_says_where_the_fit_ended_at_a_poor_optimum(post):
 
 
 def test_it_says_where_its_intervals_are_too_narrow(post):
-    from dataclasses import replace
 
     assert "too narrow" not in str(post)
     assert post.untold_states == (0, 1)
@@ -364,6 +362,30 @@ def test_it_says_where_its_intervals_are_too_narrow(post):
     assert "95 % interval" not in str(coloured)
     untold = replace(post, untold_states=(9, 13))
     assert "the records hardly tell 9 of 13 directions of their initial states" in str(untold)
+
+
+def test_an_interval_begins_at_a_bound_from_which_the_density_falls(post):
+    """Equal tails left a true 0 out of every 95 % interval where the density is highest at the bound 0."""
+    random, k = np.random.default_rng(3), post.names.index("C_eng")
+    count = len(post.values)
+    assert post.fit.parameters["C_eng"].min == 0
+
+    def with_draws(own):
+        values = post.values.copy()
+        values[:, k] = own
+        return replace(post, values=values)
+
+    falling = random.exponential(2.0, count)
+    low, high = with_draws(falling).interval("C_eng")
+    assert low == 0.0
+    assert np.mean(falling <= high) == pytest.approx(0.95, abs=1e-3)
+    inside = 5 + random.standard_normal(count)
+    assert with_draws(inside).interval("C_eng") == pytest.approx(np.quantile(inside, [0.025, 0.975]))
+    held = np.abs(1.0 + random.standard_normal(count))  # its density at the bound is half of the highest
+    assert with_draws(held).interval("C_eng")[0] == 0.0
+    assert with_draws(held).interval("C_eng", 0.3)[0] > 0.3
+    flat = random.uniform(0, post.fit.parameters["C_eng"].max, count)
+    assert with_draws(flat).interval("C_eng")[0] > 0.0
 
 
 def test_intervals_are_quantiles_of_the_draws(post):
