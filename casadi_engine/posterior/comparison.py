@@ -10,7 +10,6 @@ import numpy as np
 
 from casadi_engine.errors import PosteriorError
 from casadi_engine.posterior.result import Posterior
-from casadi_engine.posterior.summary import NARROW
 
 
 @dataclass(frozen=True)
@@ -18,14 +17,14 @@ class Comparison:
     """Models of the same records by their evidence.
 
     log_evidence, error : name -> log evidence and its standard error; probability : name -> that of the model, if all
-    were as probable before the records were seen. The best one is the first; narrower : by what factor errors of the
-    best one are larger than by white noise, which the evidence counts with
+    were as probable before the records were seen. The best one is the first
+    root : of the likelihood of white noise, by which all count coloured noise alike: that of the one that leaves least
     """
 
     log_evidence: Mapping[str, float]
     error: Mapping[str, float]
     probability: Mapping[str, float]
-    narrower: float = 1.0
+    root: float = 1.0
 
     def __str__(self) -> str:
         best = next(iter(self.log_evidence.values()))
@@ -36,10 +35,10 @@ class Comparison:
             share = 100 * self.probability[name]
             probable = f"{share:10.3g} %" if share >= 1e-3 or share == 0 else "   < 0.001 %"
             lines.append(f"{name:{wide}s}  {own:12.2f} {error:7s}  {best - own:10.2f}  {probable}")
-        if self.narrower >= NARROW:
+        if self.root != 1.0:
             lines.append(
-                f"the residual of {next(iter(self.log_evidence))} is coloured or larger than stated, and the evidence "
-                f"counts with white noise: what the models differ by is up to {self.narrower**2:.2g} times too large"
+                "what the model that fits best leaves is coloured or larger than stated: of the likelihood of white "
+                f"noise the root of {self.root:.3g} is taken, for all models alike"
             )
         return "\n".join(lines)
 
@@ -49,6 +48,7 @@ class Comparison:
             "log_evidence": dict(self.log_evidence),
             "error": dict(self.error),
             "probability": dict(self.probability),
+            "likelihood_root": self.root,
         }
 
 
@@ -93,14 +93,16 @@ def compare(posteriors: Mapping[str, Posterior]) -> Comparison:
                 allowed="fits of the same samples of the same outputs",
                 cure="fit every model to the same records",
             )
-    order = sorted(posteriors, key=lambda name: -posteriors[name].log_evidence)
-    logs = np.array([posteriors[name].log_evidence for name in order])
+    root = max(posteriors.values(), key=lambda post: float(post.log_likelihood.max())).root
+    evidence = {name: post.evidence_at(root) for name, post in posteriors.items()}
+    order = sorted(posteriors, key=lambda name: -evidence[name])
+    logs = np.array([evidence[name] for name in order])
     share = np.exp(logs - logs.max())
     return Comparison(
         dict(zip(order, logs.tolist(), strict=True)),
         {name: posteriors[name].log_evidence_error for name in order},
         dict(zip(order, (share / share.sum()).tolist(), strict=True)),
-        posteriors[order[0]].narrower,
+        root,
     )
 
 

@@ -51,7 +51,8 @@ class Posterior:
     fit : what it started from
     names, units : of the free parameters and unknown noise levels, d of them; a noise level is ``sigma(output)``
     values : (n, d) draws in these units, all of which weigh alike
-    log_density : (n,) of prior and likelihood
+    log_density : (n,) of prior and likelihood; log_likelihood : (n,) of white noise, before its root is taken
+    root : of the likelihood of white noise, by which coloured noise counts; 1 where the residual is white
     method : "importance" or "ensemble"; why : what decided
     modes : the highest one first; searches : that looked for optima
     log_evidence, log_evidence_error : log of the probability density of the records given model and prior, and its
@@ -71,6 +72,7 @@ class Posterior:
     units: tuple[str, ...]
     values: Array
     log_density: Array
+    log_likelihood: Array
     method: str
     why: str
     modes: tuple[Mode, ...]
@@ -89,6 +91,7 @@ class Posterior:
     seed: int
     chains: Array | None = field(default=None, repr=False)
     untold_states: tuple[int, int] = (0, 0)
+    root: float = 1.0
 
     @property
     def draws(self) -> dict[str, Array]:
@@ -130,11 +133,17 @@ class Posterior:
         other /= 2  # to both sides of it
         return bool(beside - other > _CHANCE * math.sqrt(beside + other))
 
-    @property
-    def narrower(self) -> float:
-        """By what factor the errors of the fit are larger by the residual's own noise than by white noise, which the
-        likelihood counts with; of the parameter of which it is most."""
-        return max((self.fit.own_noise.get(name, 1.0) for name in self.fit.free), default=1.0)
+    def evidence_at(self, root: float) -> float:
+        """The log evidence of another root of the likelihood than that of the draws.
+
+        Its derivative in the power 1/root is the mean of the log likelihood, which lies below the highest by half of a
+        number of dimensions over that power: that number is taken from the draws, and taken to stay.
+        """
+        if root == self.root:
+            return self.log_evidence
+        top, here, there = float(self.log_likelihood.max()), 1.0 / self.root, 1.0 / root
+        dimensions = 2.0 * here * (top - float(self.log_likelihood.mean()))
+        return self.log_evidence + (there - here) * top - 0.5 * dimensions * math.log(there / here)
 
     @property
     def median(self) -> dict[str, float]:
@@ -197,6 +206,7 @@ class Posterior:
             "priors": dict(self.priors),
             "searches": self.searches,
             "evaluations": self.evaluations,
+            "likelihood_root": self.root,
             "frequency_bins": None if self.bins is None else list(self.bins),
             "seconds": self.seconds,
             "seed": self.seed,
@@ -240,6 +250,8 @@ def made(
         units=target.units,
         values=values,
         log_density=drawn.density,
+        log_likelihood=target.root * (drawn.density - target.before(drawn.u[:, : target.nv])),
+        root=target.root,
         method=drawn.method,
         why=drawn.why,
         modes=tuple(found),

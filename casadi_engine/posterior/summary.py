@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadi_engine.posterior.target import NARROW
+
 if TYPE_CHECKING:
     from casadi_engine.posterior.result import Posterior
 
@@ -14,14 +16,11 @@ _SMALL, _SHOWN = 0.01, 4
 _LEVELS = (50, 80, 95)
 # Share of the prior in a 95 % interval of the posterior from which the records tell hardly anything.
 _UNTOLD = 0.8
-# By what factor the errors of the residual's own noise are larger from which intervals are said to be too narrow.
-NARROW = 1.1
 
 
 def table(post: Posterior) -> str:
     """Median and intervals, with R-hat where there are chains, and the effective sample size."""
-    what = "interval" if post.narrower < NARROW else "if white"
-    head = ["parameter", "median", *(f"{level} % {what}" for level in _LEVELS), "unit"]
+    head = ["parameter", "median", *(f"{level} % interval" for level in _LEVELS), "unit"]
     head += ["R-hat", "ESS"] if post.rhat else ["ESS"]
     rows = [head]
     for name, unit in zip(post.names, post.units, strict=True):
@@ -102,14 +101,16 @@ def _states(post: Posterior) -> list[str]:
 
 
 def _noise(post: Posterior) -> list[str]:
-    """That the likelihood counts with white noise, where the residual is none."""
-    most = post.narrower
-    if most < NARROW:
+    """That the likelihood of white noise counts for less, where the residual is none."""
+    if post.root == 1.0:
         return []
+    grown = {name: post.fit.own_noise.get(name, 1.0) for name in post.fit.free}
+    most, least = max(grown, key=lambda name: grown[name]), min(grown.values())
+    wide = grown[most] / max(least, 1.0)
+    others = f"; those of others may be up to {wide:.2g} times too wide" if wide >= NARROW else ""
     return [
-        "the residual is coloured or larger than stated, and the likelihood counts with white noise: intervals are up "
-        f"to {most:.2g} times too narrow, and stand as 'if white'; the fit's ± and ce.profile(fit) count with the "
-        "residual as it is"
+        "the residual is coloured or larger than stated, and neighbours tell less: of the likelihood of white noise "
+        f"the root of {post.root:.3g} is taken, by which intervals of {most} are as wide as that asks{others}"
     ]
 
 

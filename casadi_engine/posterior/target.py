@@ -25,6 +25,8 @@ from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
 
+# By what factor errors are larger by the residual's own noise from which the likelihood counts with it.
+NARROW = 1.1
 # A noise level that is not known is flat in its logarithm, this factor to either side of what the fit found.
 LEVELS = 1000.0
 # Chi-squared above the best within which first states that lead there are looked from too.
@@ -70,12 +72,23 @@ _STEEP = 1e9
 _SHORTENED = 6
 
 
+def root_of(fit: Fit) -> float:
+    """Which root of the likelihood of white noise is taken, 1 where the residual is white.
+
+    Neighbours that are alike, and noise that is larger than stated, tell less than that likelihood counts: errors of
+    the fit are larger by ``fit.own_noise``. Its root of that squared makes them so, of the parameter whose error grows
+    most; all others' are larger than they have to be (Miller & Dunson 2019; Pauli, Racugno & Ventura 2011).
+    """
+    most = max((fit.own_noise.get(name, 1.0) for name in fit.free), default=1.0)
+    return float(most**2) if most >= NARROW else 1.0
+
+
 class Target:
     """Log density over u (d,): the coordinates v of the parameters, then logarithms of noise levels over the fit's.
 
     names, units : of the d numbers as they are printed; low, high : (d,) bounds of u; start : (d,) of the fit
     within : parameters without bounds of their own, and how far from the fit's value their draws may lie
-    evaluations : of the likelihood so far
+    evaluations : of the likelihood so far; root : see ``root_of``
     """
 
     def __init__(self, fit: Fit) -> None:
@@ -108,7 +121,8 @@ class Target:
         )
         self.samples = sum(record.count for record in self.search.records)
         self._constant = -0.5 * self.samples * float(np.log(2 * np.pi))
-        self._constant -= len(unknown) * float(np.log(2 * np.log(LEVELS)))
+        self._levels = -len(unknown) * float(np.log(2 * np.log(LEVELS)))
+        self.root = root_of(fit)
         self.likelihood = _likelihood(fit, self.search, self.start[: self.nv])
         self.evaluations = 0
 
@@ -124,7 +138,7 @@ class Target:
 
     def _log(self, u: Array, *, whole: bool) -> Array:
         v = u[:, : self.nv]
-        found = self.prior.log_density(v)
+        found = self.before(v)
         found[(np.abs(u[:, self.nv :]) > np.log(LEVELS)).any(axis=1)] = -np.inf
         if self.search.problem.user.count:
             found[[bool(self.search.constraints.violated(own)) for own in v]] = -np.inf
@@ -132,8 +146,12 @@ class Target:
         if inside.any():
             self.evaluations += int(inside.sum())
             evaluate = self.likelihood.full if whole else self.likelihood.value
-            found[inside] += evaluate(v[inside], self.sigma(u[inside])) + self._constant
+            found[inside] += (evaluate(v[inside], self.sigma(u[inside])) + self._constant) / self.root
         return found
+
+    def before(self, v: Array) -> Array:
+        """(k,) the prior's log density at v (k, nv), that of noise levels with it."""
+        return self.prior.log_density(v) + self._levels
 
     def sigma(self, u: Array) -> Array:
         """(k, ny) noise levels at u (k, d)."""
@@ -160,7 +178,10 @@ class Target:
         if found is None:
             return None
         cost, gradient, _, matrix = self.search.problem.priors.evaluate(v)
-        return Squares(found.cost + cost, found.gradient + gradient, found.matrix + matrix)
+        root = self.root
+        return Squares(
+            found.cost / root + cost, found.gradient / root + gradient, found.matrix / root + matrix
+        )
 
     def steep(self, v: Array) -> Squares | None:
         """The same, but that it rises steeply where constraints are not met: a search of it ends at their limits."""
@@ -210,7 +231,7 @@ class Target:
         found = np.zeros((len(self.names),) * 2)
         found[: self.nv, : self.nv] = matrix
         counts = self.search.levels.counts[self._unknown]
-        found[range(self.nv, len(found)), range(self.nv, len(found))] = 2.0 * counts
+        found[range(self.nv, len(found)), range(self.nv, len(found))] = 2.0 * counts / self.root
         return found
 
     # ---- numbers as they are printed

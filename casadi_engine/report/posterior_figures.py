@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from casadi_engine.posterior.comparison import Comparison
 from casadi_engine.posterior.predictive import Predictive
 from casadi_engine.posterior.result import Posterior
-from casadi_engine.posterior.summary import NARROW
 from casadi_engine.report import panels
 from casadi_engine.report.figures import Maker, figures, last_cycle
 from casadi_engine.report.sketch import Panel, Sketch
@@ -228,6 +227,4 @@ def _(result: Posterior) -> str:
         for name, unit in zip(result.names, result.units, strict=True)
     ]
     caption = f"Posterior by {result.method}, {len(result.values)} draws; the intervals hold 95 %"
-    if result.narrower >= NARROW:
-        caption += " if the noise is white, which the residual is not"
     return table(("parameter", "median", "from", "to", "unit"), rows, right=(1, 2, 3), caption=caption)
