@@ -288,6 +288,7 @@ def _searched(
             **{name: arguments[name] for name in ("ties", "method", "max_iterations", "tolerance")},
             "seed": seed,
             **shown,
+            **({"knee": loss.knee} if (loss := arguments["loss"]).robust else {}),
             "searched on": searched_on(search, best, lower),
         }
         made = partial(make_fit, search, best, optima, options, timing, begun)

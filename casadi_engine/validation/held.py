@@ -56,7 +56,7 @@ def parameters_for(fit: Fit, record: str) -> Parameters:
     return parameters
 
 
-def held_on(fit: Fit, data: Any, *, noise: Noise, method: str) -> Fit:
+def held_on(fit: Fit, data: Any, *, noise: Noise, method: str, loss: Any = "square") -> Fit:
     """A Fit of other records with the fit's parameters, initial states found; see ``parameters_for``."""
     records = with_unique_names((data,) if isinstance(data, Experiment) else tuple(data))
     if not records:
@@ -72,7 +72,7 @@ def held_on(fit: Fit, data: Any, *, noise: Noise, method: str) -> Fit:
         alike.setdefault(record.name if known else None, []).append(record)
     found = [
         estimate(fit.model, group, parameters=parameters_for(fit, group[0].name), noise=noise, method=method,
-                 progress=False)
+                 loss=loss, progress=False)
         for group in alike.values()
     ]  # fmt: skip
     return found[0] if len(found) == 1 else _together(found, [record.name for record in records])

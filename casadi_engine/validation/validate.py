@@ -25,6 +25,7 @@ from casadi_engine.validation.held import held_on, what_was_freed
 from casadi_engine.validation.level_tests import mean_test, size_test
 from casadi_engine.validation.parameter_check import ParameterCheck, Refit, noise_changed, refit
 from casadi_engine.validation.residual_tests import ResidualTest, check_residual, rejected
+from casadi_engine.validation.robust import loss_of, pulled_in
 
 Array = NDArray[np.float64]
 # Output -> standard deviation of the noise, and from how many degrees of freedom it was found.
@@ -137,20 +138,23 @@ def validate(
             allowed="a number between 0 and 1",
             cure="give alpha=0.01, for instance, for one false alarm in a hundred",
         )
-    held = _hold(fit, data, parameters, noise)
-    again = refit(fit, held) if isinstance(fit, Fit) and data is not None and parameters is None else None
+    held, loss, own, tested = _hold(fit, data, parameters, noise), loss_of(fit), fit, None
+    if isinstance(fit, Fit) and loss.robust:
+        own, tested = pulled_in(fit, loss, fit), pulled_in(held, loss, fit)
+    tested = held if tested is None else tested
+    again = refit(own, tested) if isinstance(own, Fit) and data is not None and parameters is None else None
     levels = (
-        known if known is not None else _levels_of(fit) if isinstance(fit, Fit) and held is not fit else None
+        known if known is not None else _levels_of(own) if isinstance(own, Fit) and held is not fit else None
     )
     tests: dict[str, ResidualTest | ParameterCheck] = {}
     records: dict[str, dict[str, OutputCheck]] = {}
     for name, traces in held.traces.items():
         records[name] = {}
         for output, trace in traces.items():
-            check = _check(held, name, output, trace, lags, again)
+            check = _check(tested, name, output, tested.traces[name][output], lags, again)
             if levels is not None:
                 check = _with_level(check, (name, output), levels, again)
-            records[name][output] = check
+            records[name][output] = check if tested is held else _as_measured(check, trace)
             tests |= tests_of(name, output, check)
     if again is not None:
         tests["parameters"] = again.check
@@ -205,6 +209,8 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
         )
     said += _held_otherwise(fit, held) if held is not fit else []
     said += faults(held)
+    if loss_of(fit).robust:
+        said.append("outliers count in these tests as in the loss of the fit: as if they were at its knee")
     if again is None:
         return tuple(said)
     said += _off_on_average(again, failed, {out.name: out.unit for out in fit.model.outputs})
@@ -234,7 +240,7 @@ def _hold(fit: Fit | Model, data: Any, parameters: Parameters | None, noise: Noi
         levels = noise or _noise_of(fit)
         method = str(fit.options.get("method", "exact"))
         if parameters is None:
-            return held_on(fit, records, noise=levels, method=method)
+            return held_on(fit, records, noise=levels, method=method, loss=loss_of(fit))
         model, source = fit.model, parameters
     else:
         if not isinstance(fit, Model):
@@ -312,6 +318,13 @@ def _within_errors(
     residual, jacobian = np.full(count, np.nan), np.zeros((count, again.slopes[place].shape[1]))
     residual[index], jacobian[index] = again.residual[place], again.slopes[place]
     return residual, mask, jacobian
+
+
+def _as_measured(check: OutputCheck, trace: Trace) -> OutputCheck:
+    """The check of an output whose outliers were pulled in, with the sizes and the trace of what was measured."""
+    model = trace.simulated if trace.predicted is None else trace.predicted
+    sizes = fit_measures(trace.measured, model, mask=trace.mask)
+    return replace(check, rmse=sizes.rmse, S1=sizes.S1, S2=sizes.S2, trace=trace)
 
 
 def _before(time: Array, at: Array, values: Array) -> Array:
