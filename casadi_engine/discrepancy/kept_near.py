@@ -8,6 +8,7 @@ start value; it holds for this fit alone, not for the models with effects.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,11 +24,11 @@ KEPT_NEAR = (
 )
 
 
-def kept_near(fit: Fit, work: float, given: Mapping[str, Any]) -> Fit | None:
+def kept_near(fit: Fit, work: float, given: Mapping[str, Any], seconds: float = math.inf) -> Fit | None:
     """The fit of a model that was not converged with parameters that stay near their starts, None where it has no end
     either.
 
-    work : of the fit, in units of ``Deadline``; given : what ``estimate`` was given for it
+    work : of the fit, in units of ``Deadline``; given : what ``estimate`` was given for it; seconds : that it may take
     """
     near = given["parameters"].copy()
     for name in fit.free:
@@ -35,8 +36,8 @@ def kept_near(fit: Fit, work: float, given: Mapping[str, Any]) -> Fit | None:
         if own in near.names and near[own].vary and near[own].prior is None and near[own].value:
             near[own].set(prior=(near[own].value, _FACTOR * abs(near[own].value)))
     try:
-        with Deadline(work=_MORE * work, best=True):
-            found = estimate(**{**given, "parameters": near, "neighbours": 0})
+        with Deadline(seconds, work=_MORE * work, best=True):
+            found = estimate(**{**given, "parameters": near, "starts": 1, "neighbours": 0})
     except (TimeUp, CasadiEngineError, FloatingPointError):  # there is a fit
         return None
     return found if found.converged else None

@@ -415,7 +415,10 @@ class _Job:
             if self.misread is not None and self.misread.certain:
                 return fit, self.parameters, work
         ended = fit.status in ("interrupted", _SHARE_OVER)
-        if not (fit.converged or ended) and (near := kept_near(fit, own.done, given)) is not None:
+        if (
+            not (fit.converged or ended)
+            and (near := kept_near(fit, own.done, given, _NULL * self.deadline.left)) is not None
+        ):
             self.null_fit, self.kept = near, True
             fit = near
         if not_followed(fit) and not (fit.converged and explained(scores(fit))):
