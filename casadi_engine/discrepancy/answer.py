@@ -64,6 +64,7 @@ from casadi_engine.discrepancy.left_out import left_out_alike
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.path import FAILURES
+from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import ORDERS
 from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.repaired import (
@@ -97,6 +98,8 @@ _MAY_HIDE = (
 # Shares of the spare time behind a budget at which the tests beside the library have to be there, and the rest that an
 # answer can do without.
 _TESTS, _EXTRA = 0.75, 0.9
+# Prior standard deviations beyond which an error of a sensor is no error that a sensor has: a quarter of what it shows.
+_LARGE = 5.0
 # What ± are worth where effects explain not all.
 _MORE = "the ± cover noise alone; what is still unexplained may move the values by more"
 _LEFT_OUT = {
@@ -210,7 +213,7 @@ class Answer:
             unknown = Unknown(so_far(self.search)[0], {} if unknown is None else unknown.tests)
         claim = Claim(proof, last, found, withdrawn, unknown)
         sure = proof.judgement is not None and bool(proof.judgement.confirmed)
-        doubt = reason_to_withdraw(claim, null, sure, cut=cut) if found else None
+        doubt = reason_to_withdraw(claim, null, sure, cut=cut, far=self._is_large(last)) if found else None
         if doubt is None:
             return claim
         seen = self._in_own_colour(null)
@@ -222,6 +225,18 @@ class Answer:
         ):
             doubt = None  # white noise alone had made findings of colour
         return claim.withdrawn_for(doubt, seen, TOO_LITTLE)
+
+    def _is_large(self, last: Station) -> bool:
+        """True where an error of a sensor is far larger than one may well be: no sensor is so wrong, and a law that is
+        missing looks like that."""
+        null, path = last.screened.null, self.search.refits.path
+        priors = priors_of(null, path.parameters(last.effects), last.effects)
+        at_sensors = [one.amplitude for one in last.effects if one.kind == "sensor"]
+        return any(
+            abs(value - prior.centre) > _LARGE * prior.deviation
+            for name, value in zip(null.parameters, null.values, strict=True)
+            if name.partition("@")[0] in at_sensors and (prior := priors[name])
+        )
 
     def _in_own_colour(self, null: Station) -> Station:
         """The model without effects, scored with the colour of its residual where that waited."""

@@ -56,12 +56,14 @@ class Claim:
         return Nearest(names, self.nearest.fit, gap_of([self.nearest.screened.null], noise), fresh)
 
 
-def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: bool = False) -> Unknown | None:
+def reason_to_withdraw(
+    claim: Claim, null: Station, confirmed: bool, *, cut: bool = False, far: bool = False
+) -> Unknown | None:
     """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise,
     or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise; or leave
     more than a person would overlook, where the noise is known, or a sensor would be early; None where they are one.
 
-    cut : the search ended before all were refitted
+    cut : the search ended before all were refitted; far : an effect is far larger than it may well be
     """
     if not confirmed and not _visible(claim.found):
         small, beside = _too_small(claim.found), unknown_of(null.screened)
@@ -80,9 +82,8 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: boo
     fresh = closed_on_fresh(proof, noise) if confirmed else None
     if fresh is not None:  # which show more of it, or as much
         closed = fresh if told and not known else min(closed, fresh)
-    early = any(
-        is_early(one) for one in claim.found
-    )  # it bends to something else, or is the time of another clock
+    # it bends to something else, or is the time of another clock
+    early = far or any(is_early(one) for one in claim.found)
     if closed >= 1 - (SEEN**2 if known or early else SEEN):
         return None
     # an offset or a delay bends to what any missing law does, and so do several effects together: these are all that
