@@ -128,6 +128,17 @@ def of_size(shown: Array) -> Array:
     return np.log(size) if one_sign and size.max() > _DECADE * size.min() else shown
 
 
+def sizes_of(residual: Array, shown: Array, taken: Array | None = None) -> Array | None:
+    """(n,) how large the noise of each sample of a residual is beside that of the others, by what an output shows; None
+    where it is of one size as far as these tell."""
+    course = of_size(shown)
+    if len(residual) < _FEW or not _goes_with(residual, course, taken) < _RARE:
+        return None
+    weight = np.ones(len(residual)) if taken is None else np.maximum(1 - np.clip(taken, 0.0, 1.0), 1 - _TOLD)
+    squares = residual**2 / weight
+    return np.sqrt(_variances(squares * float(weight.sum()) / float(weight @ squares), weight, course))
+
+
 def _goes_with(r: Array, course: Array, taken: Array | None = None) -> float:
     """How often chance makes the squares of white noise (n,) depend as much on a course and its square.
 

@@ -20,6 +20,7 @@ from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit
 from casadi_engine.estimation.fit_percent import FloatArray
 from casadi_engine.estimation.single_shots import Place, SingleShots
+from casadi_engine.estimation.varied_noise import sizes_of
 from casadi_engine.problem.noise import Noise
 from casadi_engine.validation.level_tests import memory_of
 from casadi_engine.validation.parameter_prior import PriorSplit
@@ -291,8 +292,12 @@ class _Problem:
         turn = _kept(self.still * self.units, slopes.shape[1])
         offset, rows = (part[: len(self.rows)] for part in self._prior(x))
         split = PriorSplit.of(-residual, slopes @ turn, rows @ turn, offset)
+        size = self._sizes(residual, slopes, sigma)
+        told = split
+        if (size != 1).any():
+            told = PriorSplit.of(-residual / size, slopes @ turn / size[:, None], rows @ turn, offset)
         # coloured noise moves what is slow further than white noise of its size
-        told = replace(split, value=split.value / self._memory(split.noise))
+        told = replace(told, value=told.value / self._memory(told.noise))
         fresh_freedom = math.inf if not self.estimated else max(float(len(residual) - split.rank), 1.0)
         known = not any(free for _, free in self.fit.noise.values())
         p_value = told.p_value(math.inf if known else max(self.fit.dof, 1.0), fresh_freedom)
@@ -327,6 +332,18 @@ class _Problem:
             self.freedom,
             self._reach(x, slopes),
         )
+
+    def _sizes(self, residual: FloatArray, slopes: FloatArray, sigma: Mapping[str, float]) -> FloatArray:
+        """(n,) how large the noise of each sample is beside that of the others of its output, where it goes with what
+        that shows."""
+        found = np.ones(len(residual))
+        for place, rows in self.shots.places.items():
+            record, output = place
+            measured = self.held.traces[record][output].measured[self.shots.index[place]]
+            taken = np.square(orthonormal(slopes[rows])).sum(axis=1) if slopes.size else None
+            own = sizes_of(residual[rows], measured + sigma[output] * residual[rows], taken)
+            found[rows] = 1.0 if own is None else own
+        return found
 
     def _memory(self, noise: FloatArray) -> float:
         """How many samples count for one in the output that is most coloured, by what parameters do not reach of it."""

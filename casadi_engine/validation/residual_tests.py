@@ -173,6 +173,7 @@ def check_residual(
     jacobian: ArrayLike | None = None,
     lags: int = 25,
     cross_lags: int = 30,
+    size: FloatArray | None = None,
 ) -> ResidualChecks:
     """Return both tests and the correlation functions of one output's residual against all drives.
 
@@ -182,6 +183,8 @@ def check_residual(
     drives : name -> (N,) drive at the residual's times
     lags : lags of the tests and of the autocorrelation
     cross_lags : lags of the cross-correlation functions, both ways
+    size : (N,) how large the noise of each sample is beside that of the others, where it is not of one size: the tests
+        are of the residual over it
 
     Raises
     ------
@@ -191,10 +194,10 @@ def check_residual(
     """
     check_lags(lags)
     signals = {name: drive_samples(drive, np.size(residual)) for name, drive in drives.items()}
-    data = _prepare(residual, mask, jacobian, skip=lags)
+    data = _prepare(residual, mask, jacobian, skip=lags, size=size)
     noise = _Coloured.of(data)
     return ResidualChecks(
-        whiteness=_whiteness(_prepare(residual, mask, jacobian, skip=0), lags),
+        whiteness=_whiteness(_prepare(residual, mask, jacobian, skip=0, size=size), lags),
         cross={name: _independence(data, noise, drive, lags) for name, drive in signals.items()},
         autocorrelation=autocorrelation(residual, mask=mask, lags=lags),
         cross_correlation={
@@ -240,6 +243,7 @@ class _Residual:
     nuisance : (n, q) orthonormal directions that were projected out
     rows : where these rows lie in the whole record
     why : why no test is possible
+    size : (n,) of the noise, which the rows were divided by; None where it is one
     """
 
     e: FloatArray
@@ -247,6 +251,7 @@ class _Residual:
     nuisance: FloatArray
     rows: slice
     why: str | None = None
+    size: FloatArray | None = None
 
     @property
     def samples(self) -> int:
@@ -262,7 +267,12 @@ class _Residual:
 
 
 def _prepare(
-    residual: ArrayLike, mask: ArrayLike | None, jacobian: ArrayLike | None, *, skip: int
+    residual: ArrayLike,
+    mask: ArrayLike | None,
+    jacobian: ArrayLike | None,
+    *,
+    skip: int,
+    size: FloatArray | None = None,
 ) -> _Residual:
     """Check the arrays, drop ``skip`` rows, keep the stride at which samples exist, project."""
     values = as_samples(residual, "the residual")
@@ -270,6 +280,8 @@ def _prepare(
     nuisance = np.ones((values.size, 1))
     if jacobian is not None:
         nuisance = np.column_stack([nuisance, _sensitivities(jacobian, valid)])
+    if size is not None:
+        e, nuisance = e / size, nuisance / size[:, None]
     present = np.flatnonzero(valid[skip:]) + skip
     if present.size < 2:
         lack = f"only {present.size} valid samples after the first {skip}"
@@ -283,7 +295,7 @@ def _prepare(
         why = "the residual is constant: nothing to test"
     elif rest @ rest <= NOTHING_LEFT * (e @ e):
         why = "the fitted parameters explain the whole residual: nothing to test"
-    return _Residual(rest, valid, basis, rows, why)
+    return _Residual(rest, valid, basis, rows, why, None if size is None else size[rows])
 
 
 def _sensitivities(jacobian: ArrayLike, valid: BoolArray) -> FloatArray:
@@ -413,6 +425,8 @@ def _independence(data: _Residual, noise: _Coloured, drive: FloatArray, lags: in
     past = sliding_window_view(drive - drive.mean(), lags + 1)[rows, ::-1].copy()
     if not data.valid.all():
         past *= data.valid[:, None]
+    if data.size is not None:
+        past /= data.size[:, None]
     form, test = _regress(noise, past, data)
     if not noise.colour.order or form is None or (test.p_value or 0.0) < SURE:
         return test

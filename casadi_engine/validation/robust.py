@@ -22,13 +22,13 @@ def loss_of(fit: object) -> Loss:
     return read_loss("square" if knee is None else ("huber", float(knee)))
 
 
-def pulled_in(fit: Fit, loss: Loss, of: Fit) -> Fit:
+def pulled_in(fit: Fit, loss: Loss) -> Fit:
     """The fit with measurements no farther from its model than the loss counts with: by these least squares have the
     optimum of that loss, and what is left has a size that outliers do not decide (Huber 1981, section 7.8).
 
-    of : the fit whose noise levels the loss counted in; those of what is returned are of residuals that are pulled in
+    Its noise levels, in which the loss counted, are those of the residuals that were pulled in.
     """
-    sigma = of.residual_level
+    sigma = fit.residual_level
     traces = {
         record: {name: _pulled(trace, loss.knee * sigma[name]) for name, trace in own.items()}
         for record, own in fit.traces.items()

@@ -15,6 +15,7 @@ from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, Trace, estimate
 from casadi_engine.estimation.faulty_samples import faults, wild_samples
 from casadi_engine.estimation.fit_percent import fit_measures
+from casadi_engine.estimation.varied_noise import sizes_of
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.twins import twin_of
 from casadi_engine.model import Model
@@ -24,6 +25,7 @@ from casadi_engine.validation.correlation import Correlation
 from casadi_engine.validation.held import held_on, what_was_freed
 from casadi_engine.validation.level_tests import mean_test, size_test
 from casadi_engine.validation.parameter_check import ParameterCheck, Refit, noise_changed, refit
+from casadi_engine.validation.projection import orthonormal
 from casadi_engine.validation.residual_tests import ResidualTest, check_residual, rejected
 from casadi_engine.validation.robust import loss_of, pulled_in
 
@@ -140,7 +142,7 @@ def validate(
         )
     held, loss, own, tested = _hold(fit, data, parameters, noise), loss_of(fit), fit, None
     if isinstance(fit, Fit) and loss.robust:
-        own, tested = pulled_in(fit, loss, fit), pulled_in(held, loss, fit)
+        own, tested = pulled_in(fit, loss), pulled_in(held, loss)
     tested = held if tested is None else tested
     again = refit(own, tested) if isinstance(own, Fit) and data is not None and parameters is None else None
     levels = (
@@ -334,6 +336,19 @@ def _before(time: Array, at: Array, values: Array) -> Array:
     return found
 
 
+def _sizes(residual: Array, model: Array, mask: NDArray[np.bool_], jacobian: Array | None) -> Array | None:
+    """(N,) how large the noise of each sample is, where it goes with what the output shows."""
+    taken = None
+    if jacobian is not None and jacobian.size:
+        taken = np.square(orthonormal(jacobian[mask])).sum(axis=1)
+    own = sizes_of(residual[mask], model[mask], taken)
+    if own is None:
+        return None
+    size = np.ones(len(residual))
+    size[mask] = own
+    return size
+
+
 def _check(
     fit: Fit, record: str, output: str, trace: Trace, lags: int | None, again: Refit | None
 ) -> OutputCheck:
@@ -354,7 +369,8 @@ def _check(
             why = f"only {count} valid samples: whether they are white shows from {_LEAST} on"
             few = ResidualTest(None, None, None, count, why=why)
         lags = min(_LAGS, max(1, count // _OF_LAG))
-    checks = check_residual(residual, drives, mask=mask, jacobian=jacobian, lags=lags)
+    size = _sizes(residual, model, mask, jacobian)
+    checks = check_residual(residual, drives, mask=mask, jacobian=jacobian, lags=lags, size=size)
     return OutputCheck(
         fit.fit_percent[record][output],
         sizes.rmse,

@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import cont2discrete, dlsim
 
 import casadi_engine as ce
+from casadi_engine.experiment import Channel
 from casadi_engine.report.result_file import to_result
 from casadi_engine.report.tables import validation_html
 
@@ -351,27 +352,26 @@ def test_a_wrong_sensor_is_no_parameter_that_moved():
 
 
 def test_what_single_samples_hide_is_not_called_passed(first):
-    fit, force, output = first
-    coded = output.copy()
+    fit, strong, _ = first
+    coded = np.array(strong["x"].values)
     coded[200] = -9999.0
-    check = ce.validate(fit.model, record("coded", force, coded, 1), parameters=fit.parameters)
+    other = strong.with_channel(Channel("x", "m", time=strong["x"].time, values=coded)).renamed("coded")
+    check = ce.validate(fit.model, other, parameters=fit.parameters)
     assert not check.passed
     if not check.failed:
         assert "NOT TESTED" in str(check)
         assert "beside single samples" in str(check)
     assert "Next: look at the data first, as noted above, and test again" in str(check)
-    assert "Note: 1 single sample holds most of what the model leaves: x of coded" in " ".join(
-        str(check).split()
-    )
-    own = ce.validate(ce.estimate(fit.model, record("own", force, coded, 1), progress=False))
+    own = ce.validate(ce.estimate(fit.model, other, progress=False))
     assert not own.passed
-    assert "look at the data first" in str(own)
+    assert "Next: look at the data first" in str(own)
+    said = "Note: 1 single sample holds most of what the model leaves: x of coded"
+    assert said in " ".join(str(own).split())
 
 
 def test_an_input_that_goes_on_otherwise_is_said(first):
-    fit, force, output = first
-    other = record("other", force, output, 1)
+    fit, strong, check = first
     hold = "first" if fit.data[0]["F"].hold == "zero" else "zero"
-    said = " ".join(str(ce.validate(fit, other.with_hold(F=hold))).split())
+    said = " ".join(str(ce.validate(fit, strong.with_hold(F=hold))).split())
     assert f'read these data with_hold(F="{fit.data[0]["F"].hold}")' in said
-    assert "with_hold" not in str(ce.validate(fit, other))
+    assert "with_hold" not in str(check)

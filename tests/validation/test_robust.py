@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.experiment import Channel
 
 SIGMA = 0.02
 
@@ -63,7 +64,7 @@ def test_a_wrong_gain_is_seen_beside_them(robust):
 def test_a_louder_core_is_seen(robust):
     record = _record("loud", 4)
     loud = record["T"].values + 4 * SIGMA * np.random.default_rng(5).standard_normal(len(record["T"].values))
-    record = record.with_channel(ce.Channel("T", "K", time=record["T"].time, values=loud))
+    record = record.with_channel(Channel("T", "K", time=record["T"].time, values=loud))
     assert "loud/T/size" in ce.validate(robust, record).failed
 
 
