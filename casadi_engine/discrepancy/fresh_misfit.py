@@ -13,6 +13,7 @@ from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Unknown, in
 from casadi_engine.discrepancy.selection import numbers_of
 from casadi_engine.discrepancy.withdrawal import withdrawn
 from casadi_engine.distributions import f_sf
+from casadi_engine.effects.protocol import moves
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import Repair
@@ -246,18 +247,29 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     more of the gap is left there than the effects closed, as a person sees it, by its root mean square: a gain alone
     confirms nothing then, whether or not errors of the parameters would explain what is left. Errors of sensors alone
     are not named where fresh data do not confirm them, or do not fit with them: an offset or a delay bends to what any
-    missing law does to one record.
+    missing law does to one record. Nor are events, at times that one record alone knows, where fresh data do not fit.
     """
     held = _held(repair)
     judged = held.gaps is not None and held.gaps.validation_after is not None
-    fits = fresh_misfit(repair) is None or is_louder(repair) or _left(repair) ** 2 <= SEEN
-    fits = fits and held.confirmed is not False
-    if fits or not judged or not _of_sensors(held):
-        return held
+    as_noise = fresh_misfit(repair) is None or is_louder(repair)
+    fits = (as_noise or _left(repair) ** 2 <= SEEN) and held.confirmed is not False
     names = " and ".join(f"{one.name} at {one.at}" for one in held.effects)
-    words = f"{names} describes the gap best, but fresh data do not confirm that a sensor is at fault"
+    if judged and not fits and _of_sensors(held):
+        words = f"{names} describes the gap best, but fresh data do not confirm that a sensor is at fault"
+    elif judged and not as_noise and _with_events(held):
+        words = (
+            f"{names} describes the gap best, but events that no other record can confirm bend to what is missing in "
+            "one, and fresh data do not fit"
+        )
+    else:
+        return held
     unknown = repair.unknown or Unknown(words, {one.key: one.p_value for one in held.effects})
     return withdrawn(held, _why(held), unknown)
+
+
+def _with_events(repair: Repair) -> bool:
+    """True if an effect begins or ends at a time that is of one record."""
+    return any(moves(one.effect) for one in repair.fit.model.effects)
 
 
 def _of_sensors(repair: Repair) -> bool:
