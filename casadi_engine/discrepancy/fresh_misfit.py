@@ -261,10 +261,23 @@ def held_to_fresh_data(repair: Repair) -> Repair:
             f"{names} describes the gap best, but events that no other record can confirm bend to what is missing in "
             "one, and fresh data do not fit"
         )
+    elif judged and _bent_in_colour(repair):
+        words = (
+            f"{names} describes the gap best, but several together bend to what none of them is, and leave more than a "
+            "tenth of the squared gap of the fresh data, which is coloured"
+        )
     else:
         return held
     unknown = repair.unknown or Unknown(words, {one.key: one.p_value for one in held.effects})
     return withdrawn(held, _why(held), unknown)
+
+
+def _bent_in_colour(repair: Repair) -> bool:
+    """True of several effects beside which something else is seen, and that leave more than a tenth of the squares of
+    the fresh gap, which no white noise is."""
+    if len(repair.effects) < 2 or repair.unknown is None or repair.noise is None:
+        return False
+    return repair.noise.is_coloured and _left(repair) ** 2 > SEEN and not is_louder(repair)
 
 
 def _with_events(repair: Repair) -> bool:
