@@ -440,6 +440,12 @@ def next_steps(fit: Fit) -> list[str]:
     for name, estimate in fit.estimates.items():
         told = any(words.startswith(f"{name} {NOT_TOLD}") for words in fit.messages)
         if estimate.at_bound and name in fit.free and not told:
+            if name.startswith("process."):
+                state = name.removeprefix("process.")
+                steps.append(
+                    f"these data show no process noise of {state}: leave it out of process=, and fit again"
+                )
+                continue
             bound = estimate.at_bound
             steps.append(f'{name} rests on its bound: widen it, pars["{name}"].set({bound}=...), or fix it')
     converged = [optimum for optimum in fit.optima if optimum.status == "converged"]
@@ -452,7 +458,12 @@ def next_steps(fit: Fit) -> list[str]:
         steps.append("only one search found the lowest cost: repeat with starts=32")
     if any(UNKNOWN in words for words in fit.messages):
         steps.append("state the noise level that is not known, as noted above, and fit again")
-    elif fit.doubted:
+    elif fit.doubted and fit.innovations is not None:
+        if fit.innovations.kind != "process":
+            steps.append(
+                "give the noise that has a gain rather than the gain, ce.Noise(..., process={...}), and fit again"
+            )
+    elif fit.doubted and fit.options.get("loss", "square") == "square":
         steps.append(f"{_bounded_first(fit)}the errors that the data do tell: print(ce.posterior(fit))")
     if not steps:
         steps.append(FRESH)
@@ -462,8 +473,9 @@ def next_steps(fit: Fit) -> list[str]:
 def _bounded_first(fit: Fit) -> str:
     """What a posterior asks for before it is drawn: bounds or a prior of each parameter that is no effect's."""
     keys = tuple(f"{one.key}." for one in fit.model.effects)
-    names = [name for name in dict.fromkeys(free.partition("@")[0] for free in fit.free)
-             if not (keys and name.startswith(keys)) and _is_open(fit.parameters[name])]  # fmt: skip
+    every = dict.fromkeys(free.partition("@")[0] for free in fit.free)
+    own = [name for name in every if name in fit.parameters and not name.startswith((*keys, "\0"))]
+    names = [name for name in own if _is_open(fit.parameters[name])]
     if not names:
         return ""
     how = f'pars["{names[0]}"].set(min=..., max=...)'

@@ -260,6 +260,14 @@ def _check(fit: Any) -> None:
             allowed="a fit whose noise is that of the measurement alone",
             cure="fit again with ce.Noise(output=sigma), without gain or process noise",
         )
+    equal = next((one for one in fit.parameters.constraints if one.min == one.max), None)
+    if equal is not None:
+        raise PosteriorError(
+            "an equality leaves no room to draw from: what meets it has no volume",
+            seen=str(equal),
+            allowed="inequalities, and ties for what is equal",
+            cure='solve it for one parameter and tie that one, pars.tie("name", "expression of the others")',
+        )
     for name, (sigma, free) in fit.noise.items():
         seen = [own[name].measured[own[name].mask] for own in fit.traces.values() if name in own]
         size = max((float(np.abs(one).max(initial=0.0)) for one in seen), default=0.0)

@@ -434,3 +434,13 @@ def test_the_prediction_holds_the_truth(post, run_up):
         ahead.band("speed")
     with pytest.raises(PosteriorError, match="no record to predict; seen: str"):
         post.predictive("run")
+
+
+def test_an_equality_is_to_be_a_tie(run_up):
+    pars = ce.one_inertia().parameters()
+    pars.constrain("C_eng/J_eng", min=1.25, max=1.25)
+    fit = ce.estimate(
+        ce.one_inertia(), run_up(), parameters=pars, noise=ce.Noise(omega=SIGMA), progress=False
+    )
+    with pytest.raises(PosteriorError, match=r"leaves no room to draw from.*C_eng/J_eng == 1.25.*pars.tie"):
+        ce.posterior(fit)

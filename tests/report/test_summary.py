@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,6 +58,21 @@ def test_no_error_is_printed_that_is_doubted(factory):
     assert "the errors that the data do tell: print(ce.posterior(fit))" in next_steps(
         factory.doubted(factory.fit())
     )
+
+
+def test_what_a_predictor_of_doubted_errors_asks_for(factory):
+    """A posterior was named that is refused for every fit with a predictor; and a level of noise at 0 was to be
+    widened."""
+    fit = factory.doubted(factory.fit())
+    for kind, named in (("innovations", True), ("process", False)):
+        said = " ".join(next_steps(replace(fit, innovations=SimpleNamespace(kind=kind, radius=0.9))))
+        assert "ce.posterior" not in said
+        assert ("give the noise that has a gain rather than the gain" in said) is named
+    estimates = {**fit.estimates, "process.omega": Estimate(0.0, None, "rad/s", at_bound="min")}
+    quiet = replace(fit, estimates=estimates, free=(*fit.free, "process.omega"))
+    said = " ".join(next_steps(quiet))
+    assert "these data show no process noise of omega: leave it out of process=" in said
+    assert "process.omega rests on its bound" not in said
 
 
 def test_a_posterior_is_not_named_without_the_bounds_that_it_asks_for(factory):
