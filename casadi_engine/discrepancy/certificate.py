@@ -12,7 +12,7 @@ from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, is_car
 from casadi_engine.discrepancy.clocks import Clock, clock_of
 from casadi_engine.discrepancy.common_noise import BESIDE
 from casadi_engine.discrepancy.confirmation import share_closed
-from casadi_engine.discrepancy.elsewhere_families import same_parameters
+from casadi_engine.discrepancy.elsewhere_families import DROP, same_parameters
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh import gap_of, told_by_both
 from casadi_engine.discrepancy.latent_torque import LatentTorque
@@ -313,7 +313,11 @@ def law_words(model: Model, family: Family) -> str:
     if port.kind == "parameter":
         others = " or ".join(name.removeprefix("parameter_") for name in _alike(model, family))
         same = f", or {others}, which no data tell from it," if others else ""
-        return f"the parameter {port.parameter}{same} is not constant: it depends on {family.signal}"
+        what = family.signal
+        if what.startswith(DROP) and what not in port.signals:
+            ends = model.ports[what.removeprefix(DROP)].ends
+            what = f"the difference between {' and '.join(ends)}"
+        return f"the parameter {port.parameter}{same} is not constant: it depends on {what}"
     where = f"between {' and '.join(port.ends)}" if port.ends else f"at {family.port}"
     acts = f"an unknown {port.quantity} {where}"
     if family.order:

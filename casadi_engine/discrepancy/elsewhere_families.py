@@ -37,6 +37,8 @@ _LOOK, _TERMS, _KEPT = 3, 6, 8
 # Chi-squared below which a function does no more than its constant: chance makes as much of its other terms in one
 # of 20.
 _CONSTANT = 6.0
+# What the name of a difference between two ports begins with.
+DROP = "difference_at_"
 # Numbers that are one but for rounding.
 _ALIKE = 1e-9
 # Numbers of the terms of functions that are looked at together.
@@ -70,8 +72,8 @@ def functions_of(null: NullModel, port: str, signal: str) -> tuple[list[Candidat
 
 
 def _places(null: NullModel) -> list[tuple[Port, Signal]]:
-    """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter, at a sensor
-    time and the inputs that no equation uses, and at the other inputs these."""
+    """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter, and the
+    difference across it, at a sensor time and the inputs that no equation uses, and at the other inputs these."""
     model = null.model
     # a state of an effect that may be withdrawn is none that a law is told by
     lent = tuple(f"{one.at}_{one.effect.name}_" for one in model.effects)
@@ -86,6 +88,8 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
         if port.kind == "parameter" and "." not in port.parameter and _acts(model, port):
             at_ports = _said_at_ports(model, port, every)
             found += [(port, signal) for name, signal in made.items() if name not in at_ports]
+            drops = drops_of(model, port).items()
+            found += [(port, Signal(name, drop, along(null, drop))) for name, drop in drops]
         elif port.kind == "sensor":
             found += [(port, made[name]) for name in (TIME, *unused)]
         elif port.kind == "input" and port.name.removeprefix("input_") not in unused:
@@ -94,6 +98,28 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
             own = list(port.signals.values())
             found += [(port, made[name]) for name, symbol in every if not _is_known(symbol, own)]
     return found
+
+
+def drops_of(model: Model, port: Port) -> dict[str, ca.SX]:
+    """Differences between two states that a parameter's term is made of, beside an input or another state: the opening
+    of a gate times the drop across it. Without these a law between both does what any function of the drop does."""
+    moved = _rates(model, port, ca.SX(ca.vertcat(1, 0)))
+    if moved is None:
+        return {}
+    moving = ca.vertcat(model.x, model.u, model.t)
+    here = _names(ca.vertcat(moved, ca.SX(0)), moving)
+    found = {}
+    for link in model.ports.links:
+        drop = link.signals["difference"]
+        own = _names(drop, moving)
+        if len(own) > 1 and own < here:
+            found[f"{DROP}{link.name}"] = drop
+    return found
+
+
+def _names(expression: ca.SX, moving: ca.SX) -> set[str]:
+    """Of the moving symbols that an expression has."""
+    return {symbol.name() for symbol in ca.symvar(moving) if ca.depends_on(expression, symbol)}
 
 
 def unused_everywhere(model: Model, free: Collection[str]) -> list[Family]:

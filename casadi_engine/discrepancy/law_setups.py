@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_engine.discrepancy.elsewhere_families import DROP, drops_of
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.random_families import TIME, Family, smooth_family, terms_at
@@ -112,10 +113,13 @@ def setups_elsewhere(refits: Refits, tried: Tried, family: Family) -> list[Setup
     plain = refits.refitter.extended(tried.effects)
     known = {TIME: plain.t} | {u.name: plain.u[k] for k, u in enumerate(plain.inputs)}
     known |= {s.name: plain.x[k] for k, s in enumerate(plain.states)}
-    if family.signal not in known or family.port not in plain.ports.names:
+    if family.port not in plain.ports.names:
+        return []
+    port = plain.ports[family.port]
+    known |= drops_of(plain, port) if family.signal.startswith(DROP) else {}
+    if family.signal not in known:
         return []
     symbol = known[family.signal]
-    port = plain.ports[family.port]
     constant = port.parameter in plain.parameter_names and _in_equations_alone(plain, port)
     if port.slot is None and port.kind not in ("sensor", "input") and not constant:
         return []

@@ -1,5 +1,7 @@
 """Functions where no effect of the library acts: a parameter that is not constant is named, with what it depends on."""
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -208,3 +210,32 @@ def test_what_acts_as_an_input_may_depend_on_another_one_that_was_recorded():
     assert not any(port == "input_wind" for port, _ in places)
     family = module.smooth_family("input_sea", "wind", np.array([0.0, 1.0]))
     assert law_words(model, family) == "what acts as the input sea depends on wind too"
+
+
+def reaches(gated):
+    """Two reaches of a canal and a gate between them; its flow is by the drop, times its opening where it has one."""
+    b = ce.Blueprint("canal")
+    k, A = b.parameter("k", 0.4, unit="m2/s", min=0.01), b.parameter("A", 500.0, unit="m2", min=10)
+    upper, lower = b.state("upper", unit="m"), b.state("lower", unit="m")
+    opening, inflow = b.input("opening", unit="1"), b.input("inflow", unit="m3/s")
+    first, second = (b.port(s, "inertia", {"level": x}) for s, x in (("one", upper), ("two", lower)))
+    through = k * (opening if gated else 1) * (upper - lower)
+    b.ode("upper", (inflow - through + first) / A)
+    b.ode("lower", (through + second) / A)
+    b.output("seen", upper, unit="m")
+    return b.model()
+
+
+def test_a_parameter_may_depend_on_the_drop_that_its_term_has_beside_an_input():
+    """A gate's flow by the root of the drop was "k depends on time", or a flow between both, which no opening moves."""
+    model = reaches(gated=True)
+    found = module.drops_of(model, model.ports["parameter_k"])
+    assert list(found) == ["difference_at_one_and_two"]
+    family = SimpleNamespace(port="parameter_k", signal="difference_at_one_and_two", order=0)
+    assert (
+        law_words(model, family)
+        == "the parameter k is not constant: it depends on the difference between one and two"
+    )
+    # a law between both does what any function of the drop does
+    plain = reaches(gated=False)
+    assert module.drops_of(plain, plain.ports["parameter_k"]) == {}
