@@ -90,7 +90,16 @@ def make_fit(
     ratio, effective = np.ones(len(white.covariance.matrix)), math.inf
     if check is not None and not stopped:
         errors, ratio, effective = with_own_noise(search, best, white, noises, varied)
-    found = judged(search, best, white, errors, optima, residuals, check=None if stopped else check)
+    found = judged(
+        search,
+        best,
+        white,
+        errors,
+        optima,
+        residuals,
+        check=None if stopped else check,
+        spent=timing.get("solve", 0.0),
+    )
     cost = printed_cost(search, v, residuals)
     then = _then(ratio if errors is not white else None, effective) if errors.optimal else _NO_ERRORS
     noise_words = _noise_words(search, noises, varied, then)

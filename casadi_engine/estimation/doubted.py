@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from casadi_engine.distributions import chi2_isf
 from casadi_engine.estimation.beside_optimum import UNEVEN, entries_of
 from casadi_engine.estimation.doubt import CALL, FLAT, Doubt
-from casadi_engine.estimation.error_check import doubts_of, growing, words_of
+from casadi_engine.estimation.error_check import doubts_of, words_of
 from casadi_engine.estimation.few_samples import freedom_of
 from casadi_engine.estimation.fit import Estimate, Optimum
 from casadi_engine.estimation.foreseen_ends import Rises
@@ -21,6 +21,8 @@ from casadi_engine.estimation.standard_errors import Uncertainty
 
 Array = NDArray[np.float64]
 
+# Seconds that a look beside an optimum may take at least.
+_LEAST = 3.0
 # Searches of which one may have met a lower optimum than the first.
 _SEVERAL = 2
 _UNKNOWN, _UNEVEN = "not known (see note)", "not symmetric (see note)"
@@ -46,20 +48,23 @@ def judged(
     residuals: Sequence[Array],
     *,
     check: float | None,
+    spent: float = 0.0,
 ) -> Judged:
     """The estimates of an optimum; see ``doubts_of``.
 
     white : the errors that the likelihood has, which is asked about its shape; errors : those that count with the noise
     of the residuals; check : seconds of processor time for intervals by profile, None for the errors of the quadratic
-    as they are
+    as they are; spent : seconds that the search took, which a look beside its optimum may take too
     """
     estimates, initial = errors.estimates(), errors.initial_estimates()
     doubts: tuple[Doubt, ...] = ()
     rises: dict[str, Rises] = {}
     of_states: dict[int, Rises] = {}
+    unchecked: str | None = None
     if check is not None:
-        doubts, rises, of_states = doubts_of(search, best, white, optima, residuals, wider=errors)
-    unchecked = growing(search, best) if check is not None and errors.optimal else None
+        doubts, rises, of_states, unchecked = doubts_of(
+            search, best, white, optima, residuals, wider=errors, seconds=_LEAST + spent
+        )
     told = (*(() if unchecked is None else (unchecked,)), *_few(search, white))
     if not doubts or check is None:
         return Judged(_bent_ties(search, errors, estimates), initial, told)

@@ -15,6 +15,7 @@ and where it bends there, along each of them. Three numbers tell:
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
@@ -22,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.distributions import chi2_isf
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.beside_optimum import (
@@ -70,6 +72,10 @@ _CLOSED, _CLOSINGS = 1e-3, 6
 # chi-squared d standard errors off, at its lowest z of them along it, is (d - c z^2/4)^2 + z^2, and that is lower than
 # d^2 at the ends of a 95 % interval only where c is above 1.02.
 _BENDS = 1.0
+_UNCHECKED = (
+    "the errors are those of the curvature at the optimum, and were not checked away from it: that takes more than "
+    "{:.0f} s, as a simulation there is far slower; ce.profile(fit) looks there"
+)
 # Logarithm of the growth of a change of the start from which a straight step leads nowhere near where the motion goes.
 _BENT = float(np.log(1e3))
 
@@ -82,29 +88,40 @@ def doubts_of(
     residuals: Sequence[Array],
     *,
     wider: Uncertainty | None = None,
-) -> tuple[tuple[Doubt, ...], dict[str, Rises], dict[int, Rises]]:
-    """What speaks against the standard errors at an optimum, and how chi-squared rises beside parameters, and beside
-    initial states by their entry in [v; initial states].
+    seconds: float = np.inf,
+) -> tuple[tuple[Doubt, ...], dict[str, Rises], dict[int, Rises], str | None]:
+    """What speaks against the standard errors at an optimum; how chi-squared rises beside parameters, and beside
+    initial states by their entry in [v; initial states]; and why it was not looked at, where it was not.
 
     errors : those of the likelihood; residuals : (K, M) of each record there, simulated from the printed values;
-    wider : the errors that are printed, where they are larger
+    wider : the errors that are printed, where they are larger; seconds : of the processor that a look beside the
+    optimum may take
     """
-    if not errors.optimal or not search.problem.nv or not np.isfinite(errors.covariance.matrix).all():
-        return (), {}, {}
+    if not errors.optimal:
+        return (), {}, {}, None
+    unchecked = growing(search, best)
+    if not search.problem.nv or not np.isfinite(errors.covariance.matrix).all():
+        return (), {}, {}, unchecked
     rises: dict[str, Rises] = {}
     of_states: dict[int, Rises] = {}
     found = rivals(search, best, errors, optima)
     found += lost(search, errors, residuals) + interpolated(search, errors) + unstable(errors)
     found += [] if found else exchanged(search, errors)
-    if growing(search, best) is None:
+    if unchecked is None:
         around = _Around(search, best, errors, residuals)
-        for move in around.directions():
-            found += around.doubts(move)
-        if all(doubt.profiles for doubt in found):
-            rises, of_states = around.rises(found), around.state_rises(found)
-            found += uneven(search, errors, rises)
+        try:
+            with Deadline(seconds, clock=time.process_time):
+                for move in around.directions():
+                    found += around.doubts(move)
+                if all(doubt.profiles for doubt in found):
+                    rises, of_states = around.rises(found), around.state_rises(found)
+                    found += uneven(search, errors, rises)
+        except TimeUp:
+            if late():
+                raise
+            rises, of_states, unchecked = {}, {}, _UNCHECKED.format(seconds)
     found += bounds(search, wider or errors, rises) + state_bounds(search, wider or errors)
-    return tuple(found), rises, of_states
+    return tuple(found), rises, of_states, unchecked
 
 
 def growing(search: Search, best: Attempt) -> str | None:
