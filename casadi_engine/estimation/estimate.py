@@ -50,6 +50,8 @@ Array = NDArray[np.float64]
 
 # How often a fit goes on that ended a step short of an optimum.
 _FURTHER = 6
+# Share of the time that is of no part of the last search, from which on it is said; and what it is called.
+_OTHERS, OTHER_SEARCHES = 0.1, "other searches"
 _ENDED = "interrupted by the user before all that follows a search was done: its checks are not complete"
 
 
@@ -189,10 +191,26 @@ def estimate(
         if late():
             raise
         raise KeyboardInterrupt from None  # there is no point yet
+    fit = _as_asked(fit, _own(model, parameters) if warm is None else None)
     fit = replace(fit, messages=(*idle, *fit.messages))
     if asked.stopped and fit.status != "interrupted":
         return replace(fit, status="interrupted", messages=(_ENDED, *fit.messages))
     return fit
+
+
+def _as_asked(fit: Fit, begun: Parameters | None) -> Fit:
+    """The fit with the values that were given as its start, not those of the last search of several, and with what
+    these took together. begun : the set that was given, None where another fit was the start"""
+    start = dict(fit.start)
+    for name in start:
+        bare, _, record = name.partition("@")
+        if begun is not None and bare in begun:
+            start[name] = begun[bare].in_record(record)[0] if record else begun[bare].value
+    timing, total = dict(fit.timing), fit.timing.get("total", 0.0)
+    others = total - sum(value for name, value in timing.items() if name != "total")
+    if others > _OTHERS * total:
+        timing = {OTHER_SEARCHES: others, **timing}
+    return replace(fit, start=start, timing=timing)
 
 
 def _followed_up(

@@ -16,6 +16,7 @@ from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.followed import OTHERS, lost
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
 from casadi_engine.experiment.units import unit_words
+from casadi_engine.model.declared_units import seconds_in
 
 if TYPE_CHECKING:
     from casadi_engine.parameters import Parameter
@@ -165,7 +166,9 @@ def lengths(fit: Fit) -> str:
     ]
     if not steps:
         return ""
-    return f", {_range(long)} s long, outputs every {_range(steps)} s"
+    unit = fit.model.time_unit
+    long, steps = ([one / seconds_in(unit) for one in part] for part in (long, steps))
+    return f", {_range(long)} {unit} long, outputs every {_range(steps)} {unit}"
 
 
 def _range(values: Sequence[float]) -> str:
