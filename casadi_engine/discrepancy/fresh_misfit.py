@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_engine.discrepancy.confirmation import Gap, share_closed
-from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Unknown, in_its_place
+from casadi_engine.discrepancy.repaired import LAWS_CUT, REFUSED, UNCONFIRMED, Unknown, in_its_place
 from casadi_engine.discrepancy.selection import numbers_of
 from casadi_engine.discrepancy.withdrawal import withdrawn
 from casadi_engine.distributions import f_sf
@@ -247,7 +247,8 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     more of the gap is left there than the effects closed, as a person sees it, by its root mean square: a gain alone
     confirms nothing then, whether or not errors of the parameters would explain what is left. Errors of sensors alone
     are not named where fresh data do not confirm them, or do not fit with them: an offset or a delay bends to what any
-    missing law does to one record. Nor are events, at times that one record alone knows, where fresh data do not fit.
+    missing law does to one record. Nor is anything where the time was up before laws of no name were tried, nor are
+    events, at times that one record alone knows, where fresh data do not fit.
     """
     held = _held(repair)
     judged = held.gaps is not None and held.gaps.validation_after is not None
@@ -261,15 +262,27 @@ def held_to_fresh_data(repair: Repair) -> Repair:
             f"{names} describes the gap best, but events that no other record can confirm bend to what is missing in "
             "one, and fresh data do not fit"
         )
+    elif judged and not as_noise and laws_were_cut(repair):
+        words = (
+            f"{names} describes the gap best of what was tried, but fresh data do not fit, and the time was up before "
+            "laws that no effect names were tried"
+        )
     elif judged and _bent_in_colour(repair):
         words = (
             f"{names} describes the gap best, but several together bend to what none of them is, and leave more than a "
             "tenth of the squared gap of the fresh data, which is coloured"
         )
+    elif held.effects and held.unknown is not None and laws_were_cut(repair):
+        return replace(held, confirmed=None)
     else:
         return held
     unknown = repair.unknown or Unknown(words, {one.key: one.p_value for one in held.effects})
     return withdrawn(held, _why(held), unknown)
+
+
+def laws_were_cut(repair: Repair) -> bool:
+    """True where the time was up before laws that no effect names were held against what was found."""
+    return any(words in repair.messages for words in LAWS_CUT)
 
 
 def _bent_in_colour(repair: Repair) -> bool:

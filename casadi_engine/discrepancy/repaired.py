@@ -36,6 +36,11 @@ FRESH_DATA = "the fresh data"
 UNTOLD = "the time was up before it could be told whether anything is missing"
 # What is said of a law that is seen along a simulation far from the motion.
 FAR_OFF = "where it acts is not certain"
+# What an answer does without where the time was up, and so is not known of laws that no effect names.
+LAWS_CUT = (
+    "a law that no effect names, in the place of those found: not looked for, as the time was up",
+    "what such a law does as a part of the equations: not looked for, as the time was up",
+)
 UNTRIED = "it was not tried in the equations, as the time was up: where it acts is not certain"
 # How the word on what came nearest begins, where the time was up before its fit.
 SO_FAR = "the most probable so far is"

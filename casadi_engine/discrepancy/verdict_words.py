@@ -16,6 +16,7 @@ from casadi_engine.discrepancy.fresh_misfit import (
     how_far,
     is_far_beyond,
     is_louder,
+    laws_were_cut,
 )
 from casadi_engine.discrepancy.repaired import (
     FAR_OFF,
@@ -108,6 +109,8 @@ def headline(repair: Repair) -> str:
         doubt += (
             f", and more that {'was not searched to the end' if cut else 'no effect of the library names'}"
         )
+        if laws_were_cut(repair):
+            doubt += ", or a law that the library lacks, which was not tried"
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     hidden = "; the residual is coloured, and more may hide in it" if _may_hide_more(repair) else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}{hidden}"

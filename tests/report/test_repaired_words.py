@@ -8,9 +8,10 @@ from casadi_engine.discrepancy import by_chance
 from casadi_engine.discrepancy.by_chance import held_to_chance
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit, held_to_fresh_data
-from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Member, NextExperiment, Unknown
+from casadi_engine.discrepancy.repaired import LAWS_CUT, REFUSED, UNCONFIRMED, Member, NextExperiment, Unknown
 from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.discrepancy.withdrawal import withdrawn
+from casadi_engine.effects import LoadStep
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.report.repaired_words import (
     effect_words,
@@ -292,6 +293,63 @@ def test_fresh_data_that_errors_of_the_parameters_explain_promise_no_more(white)
     said = replace(white, gaps=replace(gaps, estimation_after=own, validation_after=near))
     assert headline(said) == "nothing is missing that these data could show"
     assert mood(said) == "good"
+
+
+def _on_fresh(repaired, found, before=100.0, p=1e-9, **changes):
+    """The repair where the data of the search are described, and chi-squared per sample of the fresh ones is so."""
+    gaps = repaired.gaps
+    own = replace(
+        gaps.estimation_after, gap=replace(gaps.estimation_after.gap, chi2_per_sample=1.0, samples=400)
+    )
+    sides = {
+        "validation_before": replace(own, gap=replace(own.gap, chi2_per_sample=before)),
+        "validation_after": replace(
+            own, gap=replace(own.gap, chi2_per_sample=found), whiteness_p={"fresh": {"omega": p}}
+        ),
+    }
+    noise = replace(repaired.noise, colour={}, scatter={}, is_coloured=changes.pop("coloured", False))
+    return replace(repaired, gaps=replace(gaps, estimation_after=own, **sides), noise=noise, **changes)
+
+
+@pytest.mark.parametrize("words", LAWS_CUT)
+def test_what_fresh_data_do_not_fit_is_no_name_where_laws_were_not_tried(repaired, words):
+    """A loss that grows with S^2 was "missing, confirmed" of one that saturates, at chi2/N 4.9 on fresh data, the time
+    being up before a law was tried."""
+    kept = held_to_fresh_data(_on_fresh(repaired, 4.9))
+    assert (kept.verdict, kept.confirmed) == ("named", True)
+    cut = held_to_fresh_data(_on_fresh(repaired, 4.9, messages=(words,)))
+    assert cut.verdict == "unnamed"
+    assert "the time was up before laws that no effect names were tried" in cut.unknown.sentence
+    fits = held_to_fresh_data(_on_fresh(repaired, 1.0, p=0.5, messages=(words,)))
+    assert (fits.verdict, fits.confirmed) == ("named", True)
+    more = _on_fresh(repaired, 1.0, p=0.5, messages=(words,), unknown=Unknown("something else acts", {}))
+    told = held_to_fresh_data(more)
+    assert (told.verdict, told.confirmed) == ("named", None)
+    assert ", or a law that the library lacks, which was not tried, unconfirmed" in headline(told)
+
+
+def test_an_event_of_one_record_is_no_name_where_fresh_data_do_not_fit(repaired):
+    """Two load steps of opposite signs were "missing, confirmed" of steam that is lost above 99 degrees."""
+    model = repaired.fit.model.with_effect(LoadStep(), at="load")
+    fit = replace(repaired.fit, model=model)
+    held = held_to_fresh_data(_on_fresh(repaired, 4.9, fit=fit))
+    assert held.verdict == "unnamed"
+    assert "events that no other record can confirm bend to what is missing in one" in held.unknown.sentence
+    assert held_to_fresh_data(_on_fresh(repaired, 1.0, p=0.5, fit=fit)).verdict == "named"
+    louder = held_to_fresh_data(_on_fresh(repaired, 2.0, p=0.5, fit=fit))
+    assert louder.verdict == "named"
+
+
+def test_several_effects_that_leave_a_coloured_tenth_beside_more_are_no_name(repaired):
+    """A drum's radius that grows was "a lag of the sensor and a spring, confirmed", and colour was what they left."""
+    more = Unknown("the parameter r is not constant", {})
+    two = (*repaired.effects, replace(repaired.effects[0], at="engine"))
+    left = _on_fresh(repaired, 1.2, before=5.0, p=0.5, coloured=True, effects=two, unknown=more)
+    held = held_to_fresh_data(left)
+    assert held.verdict == "unnamed"
+    assert "several together bend to what none of them is" in held.unknown.sentence
+    for changes in ({"effects": repaired.effects}, {"unknown": None}):
+        assert held_to_fresh_data(replace(left, **changes)).verdict == "named"
 
 
 def test_a_gain_confirms_nothing_where_the_fresh_data_do_not_fit(repaired):
