@@ -307,7 +307,9 @@ def _on_fresh(repaired, found, before=100.0, p=1e-9, **changes):
             own, gap=replace(own.gap, chi2_per_sample=found), whiteness_p={"fresh": {"omega": p}}
         ),
     }
-    noise = replace(repaired.noise, colour={}, scatter={}, is_coloured=changes.pop("coloured", False))
+    coloured = changes.pop("coloured", False)
+    colour = repaired.noise.colour if coloured else {}
+    noise = replace(repaired.noise, colour=colour, scatter={}, is_coloured=coloured)
     return replace(repaired, gaps=replace(gaps, estimation_after=own, **sides), noise=noise, **changes)
 
 
@@ -344,10 +346,10 @@ def test_several_effects_that_leave_a_coloured_tenth_beside_more_are_no_name(rep
     """A drum's radius that grows was "a lag of the sensor and a spring, confirmed", and colour was what they left."""
     more = Unknown("the parameter r is not constant", {})
     two = (*repaired.effects, replace(repaired.effects[0], at="engine"))
-    left = _on_fresh(repaired, 1.2, before=5.0, p=0.5, coloured=True, effects=two, unknown=more)
+    left = _on_fresh(repaired, 1.2, before=5.0, coloured=True, effects=two, unknown=more)
     held = held_to_fresh_data(left)
     assert held.verdict == "unnamed"
-    assert "several together bend to what none of them is" in held.unknown.sentence
+    assert held.unknown.sentence == "the parameter r is not constant"
     for changes in ({"effects": repaired.effects}, {"unknown": None}):
         assert held_to_fresh_data(replace(left, **changes)).verdict == "named"
 
