@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from casadi_engine.estimation.faulty_samples import wild_samples
 from casadi_engine.estimation.summary import (
     COLUMNS,
     LINES,
@@ -123,7 +122,7 @@ def verdict(validation: Validation) -> str:
         return f"PASSED: nothing is left in the residuals that these tests can see ({level})"
     failed = validation.failed
     if not failed:
-        return f"NOT TESTED: {made} {kind} saw nothing beside single samples that are larger than all else (see note)"
+        return f"NOT TESTED: {made} {kind} saw nothing beside {validation.blind} (see note)"
     which = f": {'; '.join(failed[:2])}" + (f" and {len(failed) - 2} more" if len(failed) > 2 else "")
     return f"FAILED: {len(failed)} of {level}{which}"
 
@@ -193,8 +192,9 @@ def next_step(validation: Validation) -> str:
     """What to type next."""
     if all(test.p_value is None for test in all_tests(validation).values()):
         return "give a longer record: ce.validate(fit, longer)"
-    if wild_samples(validation.fit) is not None:
-        return "look at the data first, as noted above, and test again"
+    if validation.blind:
+        whose = "of the fit " if "decide the fit" in validation.blind else ""
+        return f"look at the data {whose}first, as noted above, and test again"
     if validation.passed:
         return 'keep it: ce.report(validation, "report.html")'
     if validation.failed == ("parameters",):

@@ -36,6 +36,9 @@ Levels = Mapping[str, tuple[float, float]]
 # Lags that are tested, and samples of an output for each at least; samples from which on a plain pattern in them is
 # beyond chance once in a hundred.
 _LAGS, _OF_LAG, _LEAST = 25, 4, 15
+# Beside what tests see nothing.
+HERE = "single samples that are larger than all else"
+IN_FIT = "single samples that decide the fit, whose noise level is theirs"
 NOT_FRESH = ResidualTest(None, None, None, 0, why="not fresh data")
 
 
@@ -78,7 +81,7 @@ class Validation:
     failed : the rejected ones as "record/output/whiteness", ".../mean", ".../size", "record/output/drive", "parameters"
     or "bounds"; fit : the parameters held and the initial states found on these data; parameters : whether fresh data
     agree with these within their errors, None for a fit's own data and for parameters that were given; notes : what the
-    user should know
+    user should know; blind : beside what no test sees anything, "" where there is no such thing
     """
 
     records: Mapping[str, Mapping[str, OutputCheck]]
@@ -88,6 +91,7 @@ class Validation:
     fit: Fit
     parameters: ParameterCheck | None = None
     notes: tuple[str, ...] = ()
+    blind: str = ""
 
     def __str__(self) -> str:
         from casadi_engine.validation.summary import summary
@@ -165,10 +169,12 @@ def validate(
     failed = rejected(tests, alpha=alpha)
     notes = _notes(fit, held, again, alpha, failed) if isinstance(fit, Fit) else ()
     # beside a few samples that are larger than all else no test sees anything
-    hidden = wild_samples(held) is not None
-    passed = not failed and not hidden and any(test.p_value is not None for test in tests.values())
+    blind = "" if wild_samples(held) is None else HERE
+    if not blind and isinstance(fit, Fit) and wild_samples(fit) is not None:
+        blind = IN_FIT
+    passed = not failed and not blind and any(test.p_value is not None for test in tests.values())
     return Validation(
-        records, passed, tuple(failed), alpha, held, None if again is None else again.check, notes
+        records, passed, tuple(failed), alpha, held, None if again is None else again.check, notes, blind
     )
 
 
@@ -209,7 +215,9 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
         said.append(
             f"the initial states were not found on these data: {held.status}; the tests are of that point"
         )
-    said += _held_otherwise(fit, held) if held is not fit else []
+    if held is not fit:
+        said += _held_otherwise(fit, held)
+        said += [f"in the data of the fit: {words}" for words in faults(fit)]
     said += faults(held)
     if loss_of(fit).robust:
         said.append("outliers count in these tests as in the loss of the fit: as if they were at its knee")

@@ -369,6 +369,22 @@ def test_what_single_samples_hide_is_not_called_passed(first):
     assert said in " ".join(str(own).split())
 
 
+def test_a_fit_that_a_single_sample_decides_is_not_called_passed(first):
+    """A code of -9999 in the record of the fit, and a clean one was "PASSED ... use it", with half of the area."""
+    fit, strong, _ = first
+    weak = fit.data[0]
+    coded = np.array(weak["x"].values)
+    coded[40] = -9999.0
+    poisoned = ce.estimate(
+        fit.model, weak.with_channel(Channel("x", "m", time=weak["x"].time, values=coded)), progress=False
+    )
+    check = ce.validate(poisoned, strong)
+    said = " ".join(str(check).split())
+    assert not check.passed
+    assert "in the data of the fit: 1 single sample holds most of what the model leaves" in said
+    assert "Next: look at the data of the fit first, as noted above, and test again" in said
+
+
 def test_an_input_that_goes_on_otherwise_is_said(first):
     fit, strong, check = first
     hold = "first" if fit.data[0]["F"].hold == "zero" else "zero"
