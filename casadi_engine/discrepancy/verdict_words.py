@@ -70,8 +70,8 @@ def headline(repair: Repair) -> str:
         tried = " (of what was tried)" if repair.stopped else ""
         what = "no effect of the library" if may_hide(repair) else "nothing"
         maybe = _by_chance(repair)
-        sure = "is sure to be missing" if maybe else "is missing that these data could show"
-        said = f"{what} {sure}{tried}{maybe}{_on_fresh(repair)}"
+        seen = "is sure to be missing" if maybe else "is missing that these data could show"
+        said = f"{what} {seen}{tried}{maybe}{_on_fresh(repair)}"
         return said + ("; the residual is coloured, and others may hide in it" if may_hide(repair) else "")
     if repair.verdict == "unnamed":
         if repair.unknown is not None and repair.unknown.sentence == UNTOLD:

@@ -76,7 +76,19 @@ def compare(posteriors: Mapping[str, Posterior]) -> Comparison:
     >>> [f"{name} {share:.3f}" for name, share in compare(made).probability.items()]
     ['damped 1.000', 'hardly damped 0.000']
     """
-    kinds = isinstance(posteriors, Mapping) and all(isinstance(one, Posterior) for one in posteriors.values())
+    other = [
+        f"{name}: a {type(one).__name__}"
+        for name, one in (posteriors.items() if isinstance(posteriors, Mapping) else ())
+        if not isinstance(one, Posterior)
+    ]
+    if other:
+        raise PosteriorError(
+            "what is compared is no posterior",
+            seen=", ".join(other),
+            allowed="name -> Posterior",
+            cure="draw it from the fit, ce.posterior(fit)",
+        )
+    kinds = isinstance(posteriors, Mapping)
     if not kinds or len(posteriors) < 2:
         raise PosteriorError(
             "there is nothing to compare",

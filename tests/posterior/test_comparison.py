@@ -59,5 +59,10 @@ def test_only_posteriors_of_the_same_records_are_compared(post, run_up):
         compare({"one": post, "two": replace(post, fit=changed)})
 
 
+def test_a_fit_in_the_place_of_a_posterior_is_named(post):
+    with pytest.raises(PosteriorError, match=r"no posterior; seen: other: a Fit; .* ce.posterior\(fit\)"):
+        compare({"one": post, "other": post.fit})
+
+
 def test_it_is_reached_through_the_function_of_the_same_name():
     assert ce.posterior.compare is compare
