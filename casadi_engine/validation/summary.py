@@ -199,6 +199,11 @@ def next_step(validation: Validation) -> str:
         return 'keep it: ce.report(validation, "report.html")'
     if validation.failed == ("parameters",):
         return "fit old and fresh data together, ce.estimate(model, [old, fresh]): does one set suit both?"
+    if validation.failed and all(name.endswith("/size") for name in validation.failed):
+        return (
+            "look whether the sensors were noisier there, as what is left is white: noise=ce.Noise(...) states their "
+            "level, and tests again"
+        )
     return "look at the residual: ce.plot(validation); it says what the model lacks"
 
 

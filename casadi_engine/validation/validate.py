@@ -203,6 +203,11 @@ def _held_otherwise(fit: Fit, held: Fit) -> list[str]:
     ]
 
 
+def _is_coloured(words: str, key: str) -> bool:
+    """True of what a fit says of the residual of the output of ``record/output``, in whatever record."""
+    return words.startswith("the residual of ") and f"/{key.partition('/')[2]} is not white" in words
+
+
 def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Sequence[str]) -> tuple[str, ...]:
     """What the user should know beside the tests."""
     outputs = [out.name for out in fit.model.outputs]
@@ -221,6 +226,12 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
     said += faults(held)
     if loss_of(fit).robust:
         said.append("outliers count in these tests as in the loss of the fit: as if they were at its knee")
+    said += [
+        f"the residual of {key} is not white, as that of the fit was not: a colour that the sensor has, or what the "
+        "model lacks in both"
+        for key in (name.removesuffix("/whiteness") for name in failed if name.endswith("/whiteness"))
+        if held is not fit and any(_is_coloured(words, key) for words in fit.messages)
+    ]
     if again is None:
         return tuple(said)
     said += _off_on_average(again, failed, {out.name: out.unit for out in fit.model.outputs})

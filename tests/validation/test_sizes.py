@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.estimation.varied_noise import sizes_of
+from casadi_engine.experiment import Channel
 
 TIME = np.arange(240) * 0.25
 SHARE = 0.03
@@ -72,3 +73,24 @@ def test_sizes_are_those_of_the_noise():
         sizes_of(random.standard_normal(100), random.uniform(1, 30, 100)) is not None for _ in range(400)
     ]
     assert np.mean(alarms) < 0.02
+
+
+def test_noise_that_is_white_and_louder_is_told_as_that(fit):
+    """ "it says what the model lacks" was the next step where the size alone was beyond that of the fit."""
+    check = ce.validate(fit, _record("loud", 40, shift=60, share=3 * SHARE))
+    assert check.failed == ("loud/T/size",)
+    assert "Next: look whether the sensors were noisier there" in str(check)
+
+
+def test_a_colour_that_the_fit_had_too_is_said(fit):
+    def coloured(name: str, seed: int, shift: int) -> ce.Experiment:
+        record = _record(name, seed, shift=shift, share=1e-9)
+        white = 0.4 * np.random.default_rng(seed).standard_normal(len(TIME))
+        slow = np.convolve(white, 0.8 ** np.arange(30))[: len(TIME)]
+        own = record["T"]
+        return record.with_channel(Channel("T", "K", time=own.time, values=np.asarray(own.values) + slow))
+
+    own = ce.estimate(fit.model, coloured("own", 1, 0), progress=False)
+    check = ce.validate(own, coloured("fresh", 2, 60))
+    assert "fresh/T/whiteness" in check.failed
+    assert "not white, as that of the fit was not" in " ".join(str(check).split())
