@@ -27,7 +27,10 @@ from casadi_engine.cli.options import (
 from casadi_engine.cli.work import estimate_job, fitting, say_answer, say_where, write_answer
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from casadi_engine.estimation.fit import Fit
+    from casadi_engine.experiment import Experiment
 
 Posterior = Annotated[
     bool,
@@ -58,7 +61,7 @@ def fit(
     run(Options.collect("fit", locals(), extra=("posterior",)), _work)
 
 
-def _with_doubts(job: Job, found: Fit) -> Fit:
+def _with_doubts(job: Job, found: Fit, records: Sequence[Experiment]) -> Fit:
     """The fit with what is likely wrong with its data said first, where it follows next to nothing of an output: an
     input reversed, a unit, two columns exchanged. It is looked for twice as long as the fit took, and three seconds."""
     from casadi_engine.estimation.followed import not_followed
@@ -78,7 +81,7 @@ def _with_doubts(job: Job, found: Fit) -> Fit:
     }
     doubt, own = None, Deadline(3.0 + 2.0 * found.timing["solve"])
     with Interrupts(own.stop) as asked, suppress(TimeUp, KeyboardInterrupt), own:
-        doubt = misread(found, problem.parameters, problem.noise, options, math.inf, every=True)
+        doubt = misread(found, problem.parameters, problem.noise, options, math.inf, every=True, data=records)
     if asked.stopped:
         return replace(found, status="interrupted")
     if doubt is None:
@@ -93,7 +96,7 @@ def _work(job: Job) -> int:
     check_files(job)
     records = job.problem.load_records()
     fresh = fitting(job, job.problem.load_validation())  # a fault in these files shows before the long work
-    found = _with_doubts(job, estimate_job(job, records, job.problem.parameters))
+    found = _with_doubts(job, estimate_job(job, records, job.problem.parameters), records)
     check, stopped = None, False
     if found.converged:
         try:

@@ -70,18 +70,21 @@ def misread(
     work: float,
     *,
     every: bool = False,
+    data: Sequence[Experiment] | None = None,
 ) -> Misread | None:
     """What is likely wrong with the data of a fit that explains next to nothing of an output, or that is poor with
     parameters at their bounds; None for any other, and where no way to read them makes it good.
 
     fit : of the model without effects, from ``parameters``, with ``noise`` and ``options``; work : of one of its starts
-    every : also what a search for effects would tell, where there is none
+    every : also what a search for effects would tell, where there is none; data : the records in the units that they
+    were stated in, where those are not the model's: columns are exchanged with their headings
     """
     poor = unexplained(fit, every=every)
     if not poor:
         return None
-    ways = readings(fit.model, fit.data, every=every)
-    job = _Readings(fit.model, fit.data, parameters, noise, options, len(ways) if every else _TRIED)
+    records = fit.data if data is None else tuple(data)
+    ways = readings(fit.model, records, every=every)
+    job = _Readings(fit.model, records, parameters, noise, options, len(ways) if every else _TRIED)
     if (sensors := _sensors(fit, poor)) is not None:
         ways = [one for one in ways if one.what == "output" and sensors.issuperset(one.names)]
     found = job.good(ways, work, lambda shares: min(shares.values(), default=0.0) >= _GOOD)

@@ -411,7 +411,9 @@ class _Job:
         self.null_fit, work = fit, own.done / max(sum(one.starts for one in fit.optima), 1)
         if _fault_of(fit) is None:
             with suppress(TimeUp), Deadline(_NULL / 3 * self.deadline.left):
-                self.misread = misread(fit, self.parameters, self.noise, self.options, work)
+                self.misread = misread(
+                    fit, self.parameters, self.noise, self.options, work, data=self.portion.data
+                )
             if self.misread is not None and self.misread.certain:
                 return fit, self.parameters, work
         ended = fit.status in ("interrupted", _SHARE_OVER)
