@@ -18,12 +18,12 @@ from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.event_times import finer_candidates
 from casadi_engine.discrepancy.events import place_of_event
+from casadi_engine.discrepancy.first_states import first_states_on
 from casadi_engine.discrepancy.fresh import Portions
 from casadi_engine.discrepancy.library_candidates import library_candidates
 from casadi_engine.discrepancy.linearised import one_step
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, NullModel, null_at, null_model
-from casadi_engine.discrepancy.path import first_states_on
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.effects import Effect

@@ -23,7 +23,7 @@ from casadi_engine.discrepancy.null_model import (
     NullModel,
     null_at,
 )
-from casadi_engine.discrepancy.refit import Addition, Refitter, short_intervals
+from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.refit_null import cost_beyond, null_of_refit
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
@@ -32,7 +32,6 @@ from casadi_engine.estimation.corner_widths import FELT
 from casadi_engine.estimation.refit_answer import Windowed
 from casadi_engine.estimation.refit_entry import Refit, RefitProblem
 from casadi_engine.estimation.refit_problem import EXACT
-from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.lags import delays, lagged, nearest_lags
 from casadi_engine.parameters import Parameters
@@ -44,9 +43,9 @@ FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 _AT_BOUND = 1e-8
 # Standard errors by which the search for an optimum may end off it where structures are compared, a hundredth of
 # chi-squared; twice as much by the integration, which moves the log of the odds of two structures by a few tenths.
-_FELT = 0.1
+FELT_ERRORS = 0.1
 # Steps over one horizon: a model that explains the data takes ten, one that does not has not arrived after a hundred.
-_STEPS = 20
+STEPS = 20
 # Corners are sharpened at most so often; steps of the integration of all records, if all samples asked for as many as
 # the one that asks for most, beyond which they are short in places alone.
 _SHARPER, _INTEGRATED = 3, 1e5
@@ -61,8 +60,6 @@ _PATIENCE = 5.0
 # Times that the samples of late sensors are read anew, as a delay turns out; chi-squared by which a delay of whole
 # samples has to leave less than where a refit ended.
 _LATER, _LESS = 6, 1.0
-# Chi-squared per sample at which first states describe a record well enough not to be looked for in windows.
-_FITS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +107,7 @@ class Path:
     those that are asked for ``exactly``
     """
 
-    def __init__(self, refitter: Refitter, levels: Mapping[str, float], felt: float = _FELT) -> None:
+    def __init__(self, refitter: Refitter, levels: Mapping[str, float], felt: float = FELT_ERRORS) -> None:
         self.refitter, self.levels, self.felt_errors = refitter, dict(levels), felt
         self._made: dict[tuple[Any, ...], tuple[Model, Parameters, RefitProblem]] = {}
         self._kept: list[Addition] = []
@@ -173,8 +170,8 @@ class Path:
         here but for its steps, which are as long as they may be only where a search has settled."""
         _, _, problem = self._problem(())
         with Deadline() as own:
-            found = problem.run(start=values, initial=initial, horizons=(None,), most=_STEPS)
-        self._done(_AHEAD * _STEPS * own.done / max(found.steps, 1), first=True)
+            found = problem.run(start=values, initial=initial, horizons=(None,), most=STEPS)
+        self._done(_AHEAD * STEPS * own.done / max(found.steps, 1), first=True)
         return _arrived(problem, found, self.levels)
 
     def cost_without(self, effects: Sequence[Addition], arrived: Arrived, amplitude: str) -> float:
@@ -257,6 +254,24 @@ class Path:
         finally:
             refitter.share = before
         return wider
+
+    def felt_along(self, effects: Sequence[Addition], arrived: Arrived) -> float:
+        """The same ``felt`` by one simulation with sharper corners along the motion of a refit, where nothing else has
+        told it: a corner that no record comes near is not felt. nan where it cannot be simulated."""
+        refitter, before = self.refitter, self.refitter.share
+        _, _, own = self._problem(effects, arrived.lags)
+        try:
+            with np.errstate(all="ignore"):
+                states = [path.x for path in own.paths(arrived.values, own.nodes_of(arrived.refit))]
+                cost = _cost_along(own, arrived.values, states)
+                refitter.share = before / SHARPER_BY
+                sharper = _cost_along(self._problem(effects, arrived.lags)[2], arrived.values, states)
+        except FAILURES:
+            return math.nan
+        finally:
+            refitter.share = before
+        change = abs(cost - sharper) / (1 - 1 / SHARPER_BY)
+        return change / max(arrived.cost / max(own.count, 1), 1.0)
 
     def _same_in_places(self, effects: Sequence[Addition], arrived: Arrived, states: Sequence[Array]) -> bool:
         """True if steps that are short in places alone have the answer of those of a linear core: with corners as wide
@@ -449,7 +464,7 @@ class Path:
                 begun = {} if start is None else start.values
                 values = _begun(problem, effects, begun) if there is None else None
                 with Deadline(work=self.allowed(problem)):
-                    found = problem.windowed(values, there, most=_STEPS)
+                    found = problem.windowed(values, there, most=STEPS)
                 if first is None or there is None:
                     first, unit = found, max(1.0, found.cost / max(problem.count, 1))
                     for one, end in self._ways.get(key, ()):
@@ -496,7 +511,7 @@ class Path:
     ) -> Arrived | None:
         """The end over whole records, from a start or where the search over windows ended."""
         _, _, problem = self._problem(effects, lags)
-        how: dict[str, Any] = {"horizons": (None,), "most": _STEPS}
+        how: dict[str, Any] = {"horizons": (None,), "most": STEPS}
         with Deadline(work=patience * self.allowed(problem)) as own:
             if after is not None:
                 found = problem.run(after=after, **how)
@@ -590,37 +605,6 @@ def _cost_along(problem: RefitProblem, values: Mapping[str, float], states: Sequ
 
 def _in_order(times: Mapping[str, Mapping[str, float]]) -> tuple[Any, ...]:
     return tuple((name, record, time) for name, own in times.items() for record, time in own.items())
-
-
-def first_states_on(
-    model: Model,
-    record: Experiment,
-    parameters: Parameters,
-    levels: Mapping[str, float],
-    *,
-    in_places: bool = False,
-) -> Start | None:
-    """Where a refit of a record's first states ends, in windows first; None where the model fails.
-
-    in_places : laws are so sharp that steps are short in places alone, and intervals short
-    """
-    interval = short_intervals((record,)) if in_places else "auto"
-    try:
-        problem = RefitProblem(
-            model, (record,), parameters.unconstrained(), levels=levels, felt=_FELT, interval=interval
-        )
-        if in_places:
-            problem.step_in_places(anyway=True)
-        found = problem.run(horizons=(None,), most=_STEPS) if in_places else problem.run()
-        if in_places and not (found.converged and found.cost < _FITS * problem.count):
-            found = (
-                problem.run()
-            )  # short windows, of which every one finds anew what sticks there, take far longer
-    except FAILURES:
-        return None
-    if not found.initial:
-        return None
-    return Start(found.values, found.initial, {}, found.converged, fineness=found.fineness)
 
 
 def _arrived(

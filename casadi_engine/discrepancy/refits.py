@@ -592,8 +592,13 @@ class Refits:
     def rounding_felt(self, effects: Sequence[Addition]) -> float:
         """Chi-squared by which sharper corners of these effects may change it, nan where that is not known; 0 where the
         data do not feel it."""
-        felt = not self.path.felt <= FELT and any(self.path.cornered([one]) for one in effects)
-        return self.path.felt if felt else 0.0
+        if self.path.felt <= FELT or not any(self.path.cornered([one]) for one in effects):
+            return 0.0
+        tried = self.pool.get(key_of(effects))
+        known = self.path.felt
+        if math.isnan(known) and tried is not None:
+            known = self.path.felt_along(tried.effects, tried.arrived)
+        return 0.0 if known <= FELT else known
 
     def doubt(self, effects: Sequence[Addition]) -> list[str]:
         """That the data feel how the corners of these effects are rounded, where they do."""

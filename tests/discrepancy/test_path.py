@@ -5,10 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.path import Path, first_states_on, form_of
-from casadi_engine.discrepancy.refit import addition
+from casadi_engine.discrepancy.first_states import first_states_on
+from casadi_engine.discrepancy.path import Path, form_of
+from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.effects import Amplitude, Effect
@@ -287,3 +289,42 @@ def test_sharper_corners_are_measured_by_what_they_cost_themselves():
     assert path.allowed(problem) == 20 * 5e8
     path.refitter.share = 1.0
     assert path.allowed(problem) == 20 * 2e6
+
+
+def test_a_corner_that_no_record_comes_near_is_not_felt():
+    """A leak and a gain were "coulomb_friction, confirmed" at eight times the noise, which a corner of 500 Pa was to
+    explain that the motion stayed 260 000 Pa away from."""
+    b = ce.Blueprint("disc")
+    J, c = b.parameter("J", 0.5, unit="kg m2", min=0.05), b.parameter("c", 0.3, unit="N m s/rad", min=0)
+    w, T = b.state("w", unit="rad/s"), b.input("T", unit="N m")
+    b.ode("w", (T - c * w + b.port("shaft", "inertia", {"speed": w})) / J)
+    b.output("speed", w, unit="rad/s")
+    model = b.model()
+    time = np.arange(300) * 0.02
+    felt = {}
+    for name, mean in (("far", 12.0), ("near", 0.0)):
+        torque = mean + 4.0 * np.sin(2.0 * time)
+        rest = solve_ivp(
+            lambda t, y, m=mean: [(m + 4.0 * np.sin(2 * t) - 0.3 * y[0] - 0.8 * np.tanh(y[0] / 1e-3)) / 0.5],
+            (0, time[-1]),
+            [3 * mean],
+            t_eval=time,
+            method="LSODA",
+            rtol=1e-8,
+        )
+        noise = 0.01 * np.random.default_rng(4).standard_normal(300)
+        run = ce.Experiment.from_arrays(
+            name, time=time, units={"T": "N m", "speed": "rad/s"}, T=torque, speed=rest.y[0] + noise
+        )
+        refitter = Refitter(model, model.parameters(), (run,), ce.Noise(speed=0.01), {})
+        path = Path(refitter, {"speed": 0.01})
+        fit = ce.estimate(model, run, noise=ce.Noise(speed=0.01), progress=False)
+        refitter.base = fit
+        (friction,) = (
+            one for one in screen(fit, ["coulomb_friction"], colour=False).candidates if one.port == "shaft"
+        )
+        effects = (addition(friction, 0.8),)
+        arrived = path.from_windows(effects)
+        felt[name] = path.felt_along(effects, arrived)
+    assert felt["far"] < 1e-6
+    assert felt["near"] > 0.01

@@ -71,7 +71,7 @@ CONSTANTS = (
     Constant(
         "_SWINGS", ("answer",), "independent samples that a coloured residual is worth to be called noise"
     ),
-    Constant("_STEPS", ("path",), "steps of a refit over one horizon"),
+    Constant("STEPS", ("path",), "steps of a refit over one horizon"),
     Constant("FELT", ("path", "refits"), "chi-squared by which a corner's width is felt"),
     Constant("_WIDER", ("path",), "times that corners are four times as wide where a refit begins"),
     Constant("_SHARPER", ("path",), "times that corners are made four times as sharp at most"),
