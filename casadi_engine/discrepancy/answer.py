@@ -24,6 +24,7 @@ from casadi_engine.discrepancy.answer_words import (
 from casadi_engine.discrepancy.by_chance import held_to_chance
 from casadi_engine.discrepancy.by_member import told_by_member
 from casadi_engine.discrepancy.certificate import (
+    as_untried,
     class_matrix,
     equation_of,
     found_effects,
@@ -73,7 +74,6 @@ from casadi_engine.discrepancy.repaired import (
     TOO_LITTLE,
     UNCONFIRMED,
     UNJUDGED,
-    UNTRIED,
     FoundEffect,
     Gaps,
     NextExperiment,
@@ -302,7 +302,7 @@ class Answer:
             ):
                 law, rival = again, said
             if rival is not None and said is None and self._was_cut("refitted law"):
-                rival = replace(rival, sentence=f"{rival.sentence}, but {UNTRIED}")
+                rival = replace(rival, sentence=as_untried(rival.sentence))
         if not found and law is not None and ahead(self.search) > law.log:
             return claim  # what was refitted says more than what a function does along the motion without it
         if rival is None or law is None:

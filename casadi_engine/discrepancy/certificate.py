@@ -24,6 +24,7 @@ from casadi_engine.discrepancy.random_families import PLACE, TIME, Course, Famil
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.repaired import (
     FAR_OFF,
+    UNTRIED,
     ClassMatrix,
     Equation,
     FoundEffect,
@@ -294,6 +295,12 @@ def in_place_of(last: Station, law: UnknownLaw, *, far: bool = False) -> Unknown
             f"library{near}"
         )
     return Unknown(words, {}, family.port, family.signal, None, law.course, odds)
+
+
+def as_untried(sentence: str) -> str:
+    """What is said of a law, where the time was up before it was tried in the equations."""
+    far = f": {FAR_OFF}"
+    return f"{sentence.removesuffix(far)}, {'and' if sentence.endswith(far) else 'but'} {UNTRIED}"
 
 
 def law_words(model: Model, family: Family) -> str:

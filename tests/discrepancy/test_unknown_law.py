@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import answer
-from casadi_engine.discrepancy.certificate import in_place_of, law_words
+from casadi_engine.discrepancy.certificate import as_untried, in_place_of, law_words
 from casadi_engine.discrepancy.random_families import Family
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.refits import Refits
@@ -195,7 +195,8 @@ def test_a_law_along_a_simulation_that_is_far_off_has_no_certain_place(far):
     found = SimpleNamespace(unknown=unknown)
     said = ": an unknown torque at engine that depends on its speed"
     assert _law_alone(found) == said + (", but where it acts is not certain" if far else "")
-    untried = replace(unknown, sentence=f"{unknown.sentence}, but {UNTRIED}")
+    untried = replace(unknown, sentence=as_untried(unknown.sentence))
+    assert untried.sentence.count("where it acts is not certain") == 1
     assert _law_alone(SimpleNamespace(unknown=untried)) == f"{said}, but {UNTRIED}"
 
 
