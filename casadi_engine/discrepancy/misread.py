@@ -179,7 +179,8 @@ def followed(fit: Fit) -> dict[str, float]:
         for name, trace in traces.items():
             y, e = trace.measured[trace.mask], trace.residual[trace.mask]
             if len(y):
-                left[name] = left.get(name, 0.0) + float(e @ e)
+                with np.errstate(over="ignore"):  # of a simulation that is lost
+                    left[name] = left.get(name, 0.0) + float(e @ e)
                 every[name] = every.get(name, 0.0) + float(((y - y.mean()) ** 2).sum())
     return {
         name: 100 * (1 - math.sqrt(left[name] / size)) if math.isfinite(left[name]) else -math.inf
