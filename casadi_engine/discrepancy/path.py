@@ -115,6 +115,9 @@ class Path:
         self.felt = math.nan
         # parameter -> by how much such corners may change it, where refits with two widths tell
         self.moved: dict[str, float] = {}
+        self._felt: tuple[Arrived, float, float] | None = (
+            None  # where one simulation told it last, and the share
+        )
         # structure and share -> both, where a refit with corners so sharp told them
         self._told: dict[tuple[frozenset[tuple[str, str, bool]], float], tuple[float, dict[str, float]]] = {}
         self._least: dict[int, float] = {}  # the least work that a refit of a structure took
@@ -259,6 +262,8 @@ class Path:
         """The same ``felt`` by one simulation with sharper corners along the motion of a refit, where nothing else has
         told it: a corner that no record comes near is not felt. nan where it cannot be simulated."""
         refitter, before = self.refitter, self.refitter.share
+        if self._felt is not None and self._felt[:2] == (arrived, before):
+            return self._felt[2]
         _, _, own = self._problem(effects, arrived.lags)
         try:
             with np.errstate(all="ignore"):
@@ -271,7 +276,8 @@ class Path:
         finally:
             refitter.share = before
         change = abs(cost - sharper) / (1 - 1 / SHARPER_BY)
-        return change / max(arrived.cost / max(own.count, 1), 1.0)
+        self._felt = arrived, before, change / max(arrived.cost / max(own.count, 1), 1.0)
+        return self._felt[2]
 
     def _same_in_places(self, effects: Sequence[Addition], arrived: Arrived, states: Sequence[Array]) -> bool:
         """True if steps that are short in places alone have the answer of those of a linear core: with corners as wide
