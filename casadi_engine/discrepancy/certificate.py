@@ -127,7 +127,9 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
     return FoundEffect(
         one.candidate.effect,
         one.candidate.port,
-        made.effect.worded(here.fit.model.ports[one.candidate.port]),
+        made.effect.worded_for(
+            here.fit.model.ports[one.candidate.port], last.fit.values.get(one.amplitude, 0.0)
+        ),
         dict(one.candidate.nuisance),
         {name: last.fit.estimates[name] for name in keys},
         {name: float(made.values[name]) for name, grid in made.effect.nuisance.items() if grid.whole},

@@ -170,6 +170,7 @@ class Effect:
     sentence : one clause with {port}, for reports; {effort} and {motion} stand for what acts there ("torque") and for
         what is read ("speed", or the signal's expression)
     neutral : the clause for ports where no torque or force acts; "" for the same
+    negative : the clause where the amplitude is below 0 and that is another thing; "" for the same
     fixed_only : True if it is looked for at no parameter that is estimated, which would do the same
     slides : True for a law of what slides; elsewhere it is named after what the data do not tell from it
     retards : True if the amplitude is the time [s] by which a sensor is late: whole samples of it are then read off
@@ -197,6 +198,7 @@ class Effect:
     limit_end: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
     neutral: ClassVar[str] = ""
+    negative: ClassVar[str] = ""
     fixed_only: ClassVar[bool] = False
     slides: ClassVar[bool] = False
     retards: ClassVar[bool] = False
@@ -296,6 +298,12 @@ class Effect:
             return self.describe(port.name)
         text = self.sentence if port.is_mechanical or not self.neutral else self.neutral
         return self._filled(text, port.name, port.quantity, port.motion)
+
+    def worded_for(self, port: Any, size: float) -> str:
+        """The same for an amplitude of this size."""
+        if size < 0 and self.negative:
+            return self._filled(self.negative, port.name, port.quantity, port.motion)
+        return self.worded(port)
 
     def _filled(self, text: str, port: str, effort: str, motion: str) -> str:
         if not text:

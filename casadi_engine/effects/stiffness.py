@@ -55,6 +55,7 @@ class GroundSpring(Effect):
     attaches = ("inertia",)
     kin = ("constant_torque", "relaxation", "sensor_lag")
     sentence = "a spring between {port} and the ground"
+    negative = "a {effort} on {port} that pulls on the farther it is, as a weight beyond its middle does"
     amplitude = Amplitude("stiffness", unit="N m/rad")
 
     def idle(self, port: Any) -> str:

@@ -82,3 +82,11 @@ def test_a_return_spring_is_found_and_named():
 def test_none_is_found_where_there_is_none():
     found = ce.repair(door(), swung(3, "data", 0.0), fresh=swung(4, "fresh", 0.0), starts=1, progress=False)
     assert found.verdict == "nothing missing"
+
+
+def test_a_spring_that_pushes_away_is_none():
+    """The weight of a hoist's rope was "a spring between sheave and the ground" of -85 N m/rad."""
+    port = door().ports["panel"]
+    assert GroundSpring().worded_for(port, 80.0) == "a spring between panel and the ground"
+    said = GroundSpring().worded_for(port, -85.0)
+    assert said.endswith("on panel that pulls on the farther it is, as a weight beyond its middle does")
