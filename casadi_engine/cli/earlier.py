@@ -13,7 +13,6 @@ import typer
 from casadi_engine.cli.job import say
 from casadi_engine.cli.options import Options
 from casadi_engine.errors import ResultError
-from casadi_engine.experiment import Experiment
 
 if TYPE_CHECKING:
     from casadi_engine.parameters import Parameters
@@ -76,6 +75,8 @@ def _with_effects(path: Path, problem: Problem, added: Iterable[Mapping[str, Any
 
 def _with_holds(problem: Problem, holds: Mapping[str, str]) -> Problem:
     """The problem whose records are read with inputs that go on so between their samples."""
+    from casadi_engine.experiment import Experiment
+
     if not holds:
         return problem
 

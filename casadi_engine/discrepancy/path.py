@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.deadline import Deadline, TimeUp, lifted
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import (
     NullModel,
@@ -266,7 +266,7 @@ class Path:
             return self._felt[2]
         _, _, own = self._problem(effects, arrived.lags)
         try:
-            with np.errstate(all="ignore"):
+            with np.errstate(all="ignore"), lifted():  # what was refitted is an answer
                 states = [path.x for path in own.paths(arrived.values, own.nodes_of(arrived.refit))]
                 cost = _cost_along(own, arrived.values, states)
                 refitter.share = before / SHARPER_BY
