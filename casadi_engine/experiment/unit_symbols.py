@@ -172,8 +172,12 @@ def _respelt(word: str) -> list[str]:
     if same:
         return same[:3]
     for at in range(1, len(word)):
-        if symbol_of(word[:at]) is not None and symbol_of(word[at:]) is not None:
-            return [f"{word[:at]} {word[at:]}"]
+        first, second = word[:at], word[at:]
+        if symbol_of(first) is not None and symbol_of(second) is not None:
+            if first == second:  # a key that was hit twice
+                return [first]
+            plural = [first] if second == "s" and len(word) > 2 else []
+            return [*plural, f"{first} {second}"]
     near = difflib.get_close_matches(word.lower(), [*_spellings(), *_MEANT], n=1, cutoff=0.8)
     if near and len(word) > 3:
         return [_MEANT[near[0]]] if near[0] in _MEANT else list(_spellings()[near[0]][:2])

@@ -120,6 +120,8 @@ def test_a_dash_is_what_many_write_for_one(tmp_path):
         ("KPA", "did you mean 'kPa'?"),
         ("MPA", "did you mean 'MPa' or 'mPa'?"),
         ("Kg", "did you mean 'kg'?"),
+        ("mm/hh", "did you mean 'mm/h'?"),
+        ("lbs", "did you mean 'lb' or 'lb s'?"),
         ("Nm", "did you mean 'N m'?"),
         ("kgm2", "did you mean 'kg m2'?"),
         ("Nms/rad", "did you mean 'N m s/rad'?"),
