@@ -40,6 +40,23 @@ class Predictive:
     measured: Mapping[str, Array]
     units: Mapping[str, str]
 
+    def __str__(self) -> str:
+        """How wide the bands are, and how much of what was measured lies in those with noise."""
+        draws = len(next(iter(self.runs.values()), ()))
+        lines = [f"Prediction of {self.record} with 95 % bands, from {draws} draws of the posterior"]
+        for name in self.runs:
+            low, high = self.band(name)
+            half = 0.5 * (high - low)
+            text = f"  {name}: half width {np.median(half):.3g} (median), {half.max():.3g} (largest) {self.units[name]}"
+            seen = self.measured.get(name)
+            if seen is not None and np.isfinite(seen).any():
+                low, high = self.band(name, noise=True)
+                there = np.isfinite(seen)
+                inside = np.mean((seen[there] >= low[there]) & (seen[there] <= high[there]))
+                text += f"; with noise it holds {100 * inside:.0f} % of the samples"
+            lines.append(text)
+        return "\n".join([*lines, "Next: ce.plot(prediction)"])
+
     def band(self, output: str, level: float = 0.95, *, noise: bool = False) -> tuple[Array, Array]:
         """The lower and upper limit (N,) that hold the output with this probability at each time, in its unit.
 

@@ -1,6 +1,7 @@
 """posterior: against quadrature, and what it refuses."""
 
 import json
+import re
 from dataclasses import replace
 from importlib import import_module
 
@@ -428,6 +429,12 @@ def test_the_prediction_holds_the_truth(post, run_up):
     measured = ahead.measured["omega"]
     assert np.mean((measured > wide_low) & (measured < wide_high)) == pytest.approx(0.95, abs=0.04)
     assert (wide_high - wide_low).mean() == pytest.approx(4 * 0.02, rel=0.15)
+    said = str(ahead)
+    assert said.startswith(f"Prediction of {ahead.record} with 95 % bands, from 40 draws of the posterior")
+    assert re.search(
+        r"omega: half width [\d.]+ \(median\), .* rad/s; with noise it holds 9\d % of the samples", said
+    )
+    assert "array" not in said
     other = post.predictive(run_up(seed=5), draws=5)
     assert other.runs["omega"].shape == (5, 200)
     with pytest.raises(PosteriorError, match="no such output; seen: 'speed'; allowed: omega"):
