@@ -4,12 +4,15 @@ import json
 import re
 from dataclasses import replace
 from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr, ndtri
 
 import casadi_engine as ce
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
+from casadi_engine.posterior.result import Posterior
 from casadi_engine.posterior.target import Target, root_of
 
 SIGMA = 0.02
@@ -451,3 +454,37 @@ def test_an_equality_is_to_be_a_tie(run_up):
     )
     with pytest.raises(PosteriorError, match=r"leaves no room to draw from.*C_eng/J_eng == 1.25.*pars.tie"):
         ce.posterior(fit)
+
+
+class _Drawn:
+    """As much of a posterior as its intervals ask for: draws of one number that is flat in 0 to 1."""
+
+    names = ("a",)
+
+    def __init__(self, own):
+        self.values, self.bulk = own[:, None], {"a": float(len(own))}
+        self.prior = SimpleNamespace(
+            low=np.zeros(1), bounds=lambda _: (0.0, 1.0), along=lambda _, v: np.asarray(v)
+        )
+
+    def __getitem__(self, _):
+        return self.values[:, 0]
+
+    _is_denser = Posterior._is_denser
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.3, 1.0])
+def test_intervals_hold_what_they_say_beside_a_bound(sigma):
+    """The side is chosen by the draws, and the true value is drawn from the prior."""
+    random, count = np.random.default_rng(7), 1500
+    truth = random.uniform(0, 1, count)
+    seen = truth + sigma * random.standard_normal(count)
+    held = {0.5: 0, 0.95: 0}
+    for true, y in zip(truth, seen, strict=True):
+        ends = ndtr((np.array([0.0, 1.0]) - y) / sigma)
+        own = _Drawn(y + sigma * ndtri(random.uniform(*ends, 500)))
+        for level in held:
+            low, high = Posterior.interval(own, "a", level)
+            held[level] += low <= true <= high
+    assert held[0.95] / count == pytest.approx(0.95, abs=0.018)
+    assert held[0.5] / count == pytest.approx(0.5, abs=0.04)
