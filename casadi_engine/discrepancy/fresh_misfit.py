@@ -259,8 +259,8 @@ def held_to_fresh_data(repair: Repair) -> Repair:
         words = f"{names} describes the gap best, but fresh data do not confirm that a sensor is at fault"
     elif judged and not as_noise and _with_events(held):
         words = (
-            f"{names} describes the gap best, but events that no other record can confirm bend to what is missing in "
-            "one, and fresh data do not fit"
+            f"{names} describes the gap best, but an event that happens in one record may imitate what is missing, "
+            "no other record can confirm it, and the fresh data do not fit"
         )
     elif judged and not as_noise and laws_were_cut(repair):
         words = (
@@ -269,8 +269,8 @@ def held_to_fresh_data(repair: Repair) -> Repair:
         )
     elif judged and _bent_in_colour(repair):
         words = (
-            f"{names} describes the gap best, but several together bend to what none of them is, and leave more than a "
-            "tenth of the squared gap of the fresh data, which is coloured"
+            f"{names} describes the gap best, but several effects together may imitate another one, and more than a "
+            "tenth of the squared gap of the fresh data is left, coloured"
         )
     elif held.effects and held.unknown is not None and laws_were_cut(repair):
         return replace(held, confirmed=None)

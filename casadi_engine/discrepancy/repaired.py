@@ -41,7 +41,7 @@ LAWS_CUT = (
     "a law that no effect names, in the place of those found: not looked for, as the time was up",
     "what such a law does as a part of the equations: not looked for, as the time was up",
 )
-UNTRIED = "it was not tried in the equations, as the time was up: where it acts is not certain"
+UNTRIED = "it was not refitted in the equations, as the time was up: where it acts is not certain"
 # How the word on what came nearest begins, where the time was up before its fit.
 SO_FAR = "the most probable so far is"
 MORE_THAN_NOISE = (

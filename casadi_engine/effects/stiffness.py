@@ -55,7 +55,9 @@ class GroundSpring(Effect):
     attaches = ("inertia",)
     kin = ("constant_torque", "relaxation", "sensor_lag")
     sentence = "a spring between {port} and the ground"
-    negative = "a {effort} on {port} that pulls on the farther it is, as a weight beyond its middle does"
+    negative = (
+        "a {effort} on {port} that pushes away with its displacement: a negative stiffness, as a weight has"
+    )
     amplitude = Amplitude("stiffness", unit="N m/rad")
 
     def idle(self, port: Any) -> str:

@@ -57,14 +57,12 @@ def judged(
     as they are; spent : seconds that the search took, which a look beside its optimum may take too
     """
     estimates, initial = errors.estimates(), errors.initial_estimates()
-    doubts: tuple[Doubt, ...] = ()
-    rises: dict[str, Rises] = {}
-    of_states: dict[int, Rises] = {}
-    unchecked: str | None = None
-    if check is not None:
-        doubts, rises, of_states, unchecked = doubts_of(
-            search, best, white, optima, residuals, wider=errors, seconds=_LEAST + spent
-        )
+    limit = _LEAST + spent
+    doubts, rises, of_states, unchecked = (
+        ((), {}, {}, None)
+        if check is None
+        else doubts_of(search, best, white, optima, residuals, wider=errors, seconds=limit)
+    )
     told = (*(() if unchecked is None else (unchecked,)), *_few(search, white))
     if not doubts or check is None:
         return Judged(_bent_ties(search, errors, estimates), initial, told)

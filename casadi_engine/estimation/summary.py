@@ -461,16 +461,18 @@ def next_steps(fit: Fit) -> list[str]:
         steps.append("only one search found the lowest cost: repeat with starts=32")
     if any(UNKNOWN in words for words in fit.messages):
         steps.append("state the noise level that is not known, as noted above, and fit again")
-    elif fit.doubted and fit.innovations is not None:
-        if fit.innovations.kind != "process":
-            steps.append(
-                "give the noise that has a gain rather than the gain, ce.Noise(..., process={...}), and fit again"
-            )
-    elif fit.doubted and fit.options.get("loss", "square") == "square":
-        steps.append(f"{_bounded_first(fit)}the errors that the data do tell: print(ce.posterior(fit))")
-    if not steps:
-        steps.append(FRESH)
-    return steps
+    elif fit.doubted:
+        steps += _for_errors(fit)
+    return steps or [FRESH]
+
+
+def _for_errors(fit: Fit) -> list[str]:
+    """What tells the errors that are doubted; a posterior is of fits with the noise of the measurement alone."""
+    if fit.innovations is None and fit.options.get("loss", "square") == "square":
+        return [f"{_bounded_first(fit)}the errors that the data do tell: print(ce.posterior(fit))"]
+    if fit.innovations is None or fit.innovations.kind == "process":
+        return []
+    return ["estimate the process noise instead of its gain, ce.Noise(..., process={...}), and fit again"]
 
 
 def _bounded_first(fit: Fit) -> str:

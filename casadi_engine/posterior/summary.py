@@ -109,8 +109,8 @@ def _noise(post: Posterior) -> list[str]:
     wide = grown[most] / max(least, 1.0)
     others = f"; those of others may be up to {wide:.2g} times too wide" if wide >= NARROW else ""
     return [
-        "the residual is coloured or larger than stated, and neighbours tell less: of the likelihood of white noise "
-        f"the root of {post.root:.3g} is taken, by which intervals of {most} are as wide as that asks{others}"
+        "the residual is coloured or larger than stated: the log likelihood of white noise is divided by "
+        f"{post.root:.3g}, so that the interval of {most} is as wide as its error in the fit asks{others}"
     ]
 
 

@@ -51,9 +51,7 @@ def _with(record: Experiment, before: Mapping[str, Trace], after: Mapping[str, T
     for name, trace in after.items():
         channel, there = record[name], trace.mask
         values = np.array(channel.values)
-        # a late sensor's times are read earlier by one and the same time, which is none between its neighbours
-        late = channel.time[0] - trace.time[0] if len(channel.time) == len(trace.time) else 0.0
-        at = np.minimum(np.searchsorted(channel.time, trace.time[there] + late), len(values) - 1)
+        at = np.searchsorted(channel.time, trace.time[there])
         values[at] += trace.measured[there] - before[name].measured[there]
         record = record.with_channel(replace(channel, values=values))
     return record

@@ -197,7 +197,7 @@ def _held_otherwise(fit: Fit, held: Fit) -> list[str]:
              for part in (fit.data, held.data)]  # fmt: skip
     names = [name for name, own in known[0].items() if len(own) == 1 and known[1][name] - own]
     return [
-        f'{name} goes on otherwise between its samples than in the fit: read these data with_hold({name}="'
+        f'{name} is interpolated differently between its samples than in the fit: read these data with_hold({name}="'
         f'{next(iter(known[0][name]))}") where it is the same there'
         for name in names
     ]
@@ -225,7 +225,9 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
         said += [f"in the data of the fit: {words}" for words in faults(fit)]
     said += faults(held)
     if loss_of(fit).robust:
-        said.append("outliers count in these tests as in the loss of the fit: as if they were at its knee")
+        said.append(
+            "residuals beyond the knee of the Huber loss are clipped to it in these tests, as in the fit"
+        )
     said += [
         f"the residual of {key} is not white, as that of the fit was not: a colour that the sensor has, or what the "
         "model lacks in both"

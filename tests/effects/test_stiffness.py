@@ -89,4 +89,4 @@ def test_a_spring_that_pushes_away_is_none():
     port = door().ports["panel"]
     assert GroundSpring().worded_for(port, 80.0) == "a spring between panel and the ground"
     said = GroundSpring().worded_for(port, -85.0)
-    assert said.endswith("on panel that pulls on the farther it is, as a weight beyond its middle does")
+    assert said.endswith("that pushes away with its displacement: a negative stiffness, as a weight has")

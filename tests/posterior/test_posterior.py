@@ -359,14 +359,14 @@ def test_it_says_where_the_fit_ended_at_a_poor_optimum(post):
 def test_a_residual_of_its_own_counts_by_a_root_of_the_likelihood(post):
     """Intervals under which "4.8 times too narrow" stood, and 100 % for a wrong model, were made of white noise."""
     assert (post.root, post.untold_states) == (1.0, (0, 1))
-    assert "root" not in str(post)
+    assert "divided by" not in str(post)
     coloured = ce.posterior(replace(post.fit, own_noise={"J_eng": 1.5, "C_eng": 3.0}))
     assert coloured.root == 9.0
     for name in ("J_eng", "C_eng"):
         assert coloured[name].std() == pytest.approx(3.0 * post[name].std(), rel=0.15)
         assert np.median(coloured[name]) == pytest.approx(np.median(post[name]), abs=0.5 * post[name].std())
     said = str(coloured)
-    assert "the root of 9 is taken, by which intervals of C_eng are as wide as that asks" in said
+    assert "divided by 9, so that the interval of C_eng is as wide as its error in the fit asks" in said
     assert "those of others may be up to 2 times too wide" in said
     assert post.evidence_at(9.0) == pytest.approx(coloured.log_evidence, abs=0.15)
     assert coloured.evidence_at(1.0) == pytest.approx(post.log_evidence, abs=0.15 * 9)

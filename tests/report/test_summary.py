@@ -67,7 +67,7 @@ def test_what_a_predictor_of_doubted_errors_asks_for(factory):
     for kind, named in (("innovations", True), ("process", False)):
         said = " ".join(next_steps(replace(fit, innovations=SimpleNamespace(kind=kind, radius=0.9))))
         assert "ce.posterior" not in said
-        assert ("give the noise that has a gain rather than the gain" in said) is named
+        assert ("estimate the process noise instead of its gain" in said) is named
     estimates = {**fit.estimates, "process.omega": Estimate(0.0, None, "rad/s", at_bound="min")}
     quiet = replace(fit, estimates=estimates, free=(*fit.free, "process.omega"))
     said = " ".join(next_steps(quiet))

@@ -50,7 +50,7 @@ def test_a_right_fit_passes_on_records_with_like_outliers(robust, seed):
     fresh = _record("fresh", seed)
     check = ce.validate(robust, fresh)
     assert check.passed, check.failed
-    assert "outliers count in these tests as in the loss of the fit" in " ".join(str(check).split())
+    assert "residuals beyond the knee of the Huber loss are clipped to it" in " ".join(str(check).split())
     seen = check.records["fresh"]["T"]
     assert np.array_equal(seen.trace.measured, fresh["T"].values)  # drawn and measured as it is
     assert seen.rmse > 3 * SIGMA
