@@ -76,8 +76,8 @@ class Digest:
     [parameters | first states and random amplitudes of each record | residual].
 
     prior : rows of the priors in the same columns; random : which columns are random amplitudes; turn : (nz, n) from
-    directions to parameters; amplitudes : log of the amplitudes' prior at their values; held : columns of parameters at
-    a bound
+    directions to parameters; amplitudes : log of the prior of amplitudes and of effects' first states at their
+    values; held : columns of parameters at a bound
     """
 
     names: tuple[str, ...]
@@ -122,6 +122,8 @@ def digest(
     parts, is_random = rows_of(null, random=random)
     prior = _prior_rows(null, priors, is_random)
     at = _amplitudes(null, priors) - math.log(choices)
+    # at their values, not linearised: what a state does is its product with an amplitude
+    at -= sum(0.5 * float(np.sum((off / free) ** 2)) for off, free in map(_first_states, null.records))
     return Digest(null.parameters, parts, prior, is_random, null.turn, at, _columns_of(null, held))
 
 
@@ -281,7 +283,7 @@ def _prior_rows(null: NullModel, priors: Mapping[str, Prior], random: Array) -> 
     weak[:, : turn.shape[1]] = turn / deviation[:, None]
     states = [k for k in range(turn.shape[1], width) if not random[k]]
     start = np.zeros((len(states), width + 1))
-    start[np.arange(len(states)), states] = 1 / np.concatenate([_first_states(r) for r in null.records])
+    start[np.arange(len(states)), states] = 1 / np.concatenate([_first_states(r)[1] for r in null.records])
     blocks: Sequence[Array] = [weak, start]
     if len(null.prior):
         given = np.zeros((len(null.prior), width + 1))
@@ -291,9 +293,10 @@ def _prior_rows(null: NullModel, priors: Mapping[str, Prior], random: Array) -> 
 
 
 def _first_states(record: RecordNull) -> Array:
-    """Prior standard deviations (n_start,) of the free first states of a record, in their scales. An effect's own state
-    has no scale that a user gave: it may start anywhere that it goes in the record."""
-    return np.array([max(record.goes.get(name, _STATE), _STILL) for name in record.starts])
+    """(2, n_start) of the free first states of a record: how far they are from where they may well begin, and the prior
+    standard deviation of that, in their scales. An effect's own state has no scale that a user gave."""
+    known = [record.begins.get(name, (0.0, _STATE)) for name in record.starts]
+    return np.array([(off, max(free, _STILL)) for off, free in known]).reshape(-1, 2).T
 
 
 def _log_determinant(rows: Array) -> float:

@@ -56,7 +56,8 @@ class RecordNull:
     index : output -> (N,) their numbers in the channel, of ``length[output]`` samples
     cycle : output -> (N,) number of the engine cycle, 0 from theta = 0 on, or of a piece of the record
     slopes : output -> (N, n_theta + n_start) in the free directions of the parameters, then the free initial states
-    starts : the free initial states; goes : state of an effect's own -> standard deviation along the record
+    starts : the free initial states; begins : state of an effect's own -> where it may well begin, the standard
+        deviation of that, and how far from there it begins here
     """
 
     name: str
@@ -68,7 +69,7 @@ class RecordNull:
     cycle: Mapping[str, Index]
     slopes: Mapping[str, Array]
     starts: tuple[str, ...]
-    goes: Mapping[str, float] = field(default_factory=dict)
+    begins: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -305,7 +306,7 @@ def _record(
         cycle={name: cycle_numbers(model, grid, grid.measured[name].time) for name in residual},
         slopes={},
         starts=tuple(model.states[k].name for k in starts),
-        goes=own_states(model, path.x.T),
+        begins=own_states(model, path.x.T),
     )
     if switches_in_time(
         model
@@ -319,17 +320,22 @@ def _record(
     return RecordNull(**{**vars(base), "slopes": slopes})
 
 
-def own_states(model: Model, x: Array) -> dict[str, float]:
-    """State of an effect's own -> its standard deviation along states (M, n), if they are more than a place or two."""
-    own = tuple(f"{one.at}_{one.effect.name}_" for one in model.effects)
-    if not own or len(x) < _PLACES:
-        return {}
-    spread = np.std(x, axis=0).tolist()
-    return {
-        state.name: size
-        for state, size in zip(model.states, spread, strict=True)
-        if state.name.startswith(own)
-    }
+def own_states(model: Model, x: Array) -> dict[str, tuple[float, float]]:
+    """State of an effect's own -> how far from where it may well begin it does begin along states (M, n), and the
+    standard deviation of that, in its scale, if they are more than a place or two.
+
+    One that follows a signal begins where the signal goes (``reach``); any other anywhere where it goes itself.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    if len(x) < _PLACES:
+        return found
+    for one in model.effects:
+        reach = float(getattr(one.effect, "reach", 0.0))
+        for k, state in enumerate(model.states):
+            if state.name.startswith(f"{one.at}_{one.effect.name}_"):
+                off = float(x[0, k]) - one.effect.first if reach > 0 else 0.0
+                found[state.name] = off / state.scale, (reach or float(np.std(x[:, k]))) / state.scale
+    return found
 
 
 def _propagated_slopes(

@@ -53,7 +53,7 @@ def null_of_refit(
                 cycle={name: cycle_numbers(model, grid, measured[name].time) for name in residual},
                 slopes=slopes,
                 starts=tuple(state.name for state in model.states),
-                goes=own_states(model, at * scale),
+                begins=own_states(model, at * scale),
             )
         )
     units = tuple(unit_of(parameters, name) for name in pmap.free)

@@ -19,10 +19,13 @@ class _Storage(Effect):
     span : the least and the largest time constant [s]; None for half a sample to all of the records, as what is slower
         takes up and does not give back
     first : z where a record begins; it is estimated with the other initial states
+    reach : how far from there it may well begin: what the signal spans in all records, as z follows it; 0 where that is
+        not known
     """
 
     span: tuple[float, float] | None = None
     first: float = 0.0
+    reach: float = 0.0
 
     signal: ClassVar[str] = ""
     stored: ClassVar[bool] = False
@@ -39,7 +42,10 @@ class _Storage(Effect):
         begun = [float(course[0]) for course in courses if np.isfinite(course[:1]).all()]
         longest = max((record[name].time for name in record.names), key=len)
         span = self.span or time_constants(longest, most=1.0)
-        return replace(self, span=span, first=float(np.mean(begun)) if begun else self.first)
+        if not begun:
+            return replace(self, span=span)
+        seen = np.concatenate([course[np.isfinite(course)] for course in courses])
+        return replace(self, span=span, first=float(np.mean(begun)), reach=float(np.ptp(seen)))
 
     def _behind(self, port: Any, p: Any) -> tuple[Any, dict[str, tuple[float, Any]]]:
         """s − z, and the state z."""

@@ -449,13 +449,25 @@ def test_an_effects_own_state_may_start_anywhere_that_it_goes(scale):
     records = [
         replace(
             one,
-            goes={"x0": 0.7 * scale},
+            begins={"x0": (0.0, 0.7 * scale)},
             slopes={out: rows / np.array([1.0, scale]) for out, rows in one.slopes.items()},
         )
         for one in null.records
     ]
     wanted = dense(x, e, np.array([9.0, 0.49, 0.49]))
     assert log_of(replace(null, records=tuple(records))) == pytest.approx(wanted, abs=1e-7)
+
+
+def test_an_effects_own_state_that_begins_far_from_what_it_follows_is_improbable():
+    """As a normal law has it, where it is and not where a linear step would take it."""
+    null = linear(1, states=1)
+
+    def log(off):
+        records = tuple(replace(one, begins={"x0": (off, 0.5)}) for one in null.records)
+        return log_of(replace(null, records=records))
+
+    assert log(0.0) - log(2.0) == pytest.approx(len(null.records) * 0.5 * 4.0**2)
+    assert log(1e14) < -1e28
 
 
 def test_an_amplitude_may_be_expected_elsewhere_than_at_zero():

@@ -143,3 +143,11 @@ def test_a_wall_is_found_and_named():
 def test_no_wall_is_found_where_there_is_none():
     found = ce.repair(heated(), heating(3, "data"), fresh=heating(4, "fresh"), starts=1, progress=False)
     assert found.verdict == "nothing missing"
+
+
+def test_what_is_stored_begins_where_the_signal_goes_in_the_records():
+    """Else a storage of 1e14 K behind next to no conductance is any load that fades."""
+    seen = [np.array([30.0, 52.0, 41.0]), np.array([34.0, np.nan, 20.0])]
+    found = candidates(heated(), [HiddenStorage()], heating(1, "one"), courses=lambda expression: seen)
+    assert {(one.effect.reach, one.effect.first) for one in found} == {(32.0, 32.0)}
+    assert {one.effect.reach for one in candidates(heated(), [HiddenStorage()], heating(1, "one"))} == {0.0}
