@@ -160,7 +160,7 @@ def estimate(
         "tolerance": tolerance,
         "warm": warm,
     }
-    idle = held_if_unused(model, arguments["parameters"])
+    robust, idle = arguments["loss"].robust, held_if_unused(model, arguments["parameters"])
     refuse_twins(records, [out.name for out in model.outputs])
     arguments["model"] = begun_late(arguments)
     within = is_set()  # then who set that deadline takes Ctrl-C too
@@ -176,7 +176,7 @@ def estimate(
         check=seconds_for_intervals(errors),
         shown={
             "interval": interval,
-            "loss": loss if isinstance(loss, str) else repr(loss),
+            "loss": repr(loss) if isinstance(loss, tuple) else "huber" if robust else "square",
             "approach": approach,
             "starts": starts,
             "neighbours": neighbours,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.estimation.fit import Fit, Trace
+from casadi_engine.estimation.loss import loss_of
 from casadi_engine.experiment.resolution import step_of
 
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ def wild_samples(fit: Fit, *, tails: bool = False) -> str | None:
 
     tails : also of so many that they are the tails of a noise
     """
-    if fit.options.get("loss", "square") != "square":
+    if loss_of(fit).robust:
         return None
     found, count, cure, many = [], 0, "", False
     for record, traces in fit.traces.items():

@@ -14,6 +14,10 @@ from casadi_engine.errors import EstimationError
 Array = NDArray[np.float64]
 
 
+# Key of a fit's options: from how many standard deviations on a residual counts linearly, where it does.
+KNEE = "knee"
+
+
 @dataclass(frozen=True)
 class Loss:
     """rho(r) = r^2/2 up to |r| = knee, linear beyond (Huber 1964); knee = inf is least squares."""
@@ -46,6 +50,12 @@ class Loss:
         Far from the solution rho'' vanishes nearly everywhere and says nothing about the length of a step.
         """
         return self.knee / np.maximum(np.abs(r), self.knee) if self.robust else None
+
+
+def loss_of(fit: Any) -> Loss:
+    """The loss that a fit was made with; least squares of what is no fit."""
+    knee = getattr(fit, "options", {}).get(KNEE)
+    return Loss() if knee is None else Loss(float(knee))
 
 
 def read_loss(loss: Any) -> Loss:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import CasadiEngineError, EstimationError
 from casadi_engine.estimation.fit import Estimate, Fit
+from casadi_engine.estimation.loss import loss_of
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import near_matches
@@ -220,7 +221,7 @@ def check_likelihood(fit: Any, what: str, error: type[CasadiEngineError] = Estim
             allowed="a converged fit",
             cure="fit again with other start values, more iterations, or more free parameters",
         )
-    if fit.options.get("loss", "square") != "square":
+    if loss_of(fit).robust:
         raise error(
             f"{what} needs the likelihood of normal noise",
             seen=f"loss={fit.options['loss']}",

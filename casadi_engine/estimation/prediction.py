@@ -222,6 +222,8 @@ class _Record:
         free = [isinstance(initial[s.name], Estimate) and not initial[s.name].fixed for s in model.states]
         self.free = np.flatnonzero(free)
         self.wider = np.array([_wider(fit, data.name, model.states[k].name) for k in self.free])
+        found = [initial[model.states[k].name].stderr for k in self.free]
+        self.found = np.array([0.0 if data.name in fit.initial or own is None else own for own in found])
         first = [getattr(initial[s.name], "value", initial[s.name]) for s in model.states]
         self.first = np.array(first, dtype=float) / self.record.scale
         self.rows = self._measured(data, grid.time)
@@ -295,6 +297,12 @@ class _Record:
         size[size == 0] = 1.0
         return np.asarray(np.linalg.pinv(own / size, rcond=_BLIND) / size[:, None])
 
+    def spread(self, inverse: Array) -> Array:
+        """(f, K) from white noise of the fit's levels to errors of the free initial states, of which ``inverse`` is the
+        pseudo-inverse: larger as the fit found them in its records, and as their own fit to a fresh one found them."""
+        white = np.maximum(np.linalg.norm(inverse, axis=1), 1e-300) * self.record.scale[self.free]
+        return np.asarray(np.maximum(self.wider, self.found / white)[:, None] * inverse)
+
     def delta(self) -> tuple[Array, Array]:
         """Outputs (ny, N) and their standard errors."""
         value, slopes = self.at(self.v, self.first)
@@ -309,7 +317,8 @@ class _Record:
                 -inverse @ told.seen(known[: len(self.z)]).T
             )  # (f, nz): how fitted states move with parameters
             turn += np.einsum("fz,fyn->zyn", follow, states)
-            own = inverse @ inverse.T * np.outer(self.wider, self.wider)
+            spread = self.spread(inverse)
+            own = spread @ spread.T
             variance += np.einsum("fyn,fg,gyn->yn", states, own, states, optimize=True)
         variance += np.einsum("zyn,zw,wyn->yn", turn, self.covariance, turn, optimize=True)
         return value, np.sqrt(np.maximum(variance, 0.0))
@@ -342,5 +351,6 @@ class _Record:
         if told is not self:
             seen, known = told.at(v, self.first)
         left = told.seen(seen) - np.concatenate([own / told.sigma[k] for k, _, own in told.rows])
-        move = -told.states(known) @ (left + rng.standard_normal(len(left)))
+        inverse = told.states(known)
+        move = -inverse @ left - told.spread(inverse) @ rng.standard_normal(len(left))
         return np.asarray(value + np.einsum("f,fyn->yn", move, slopes[len(self.z) + self.free]))

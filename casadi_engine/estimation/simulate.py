@@ -15,6 +15,7 @@ from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.fit import Estimate, Fit
+from casadi_engine.estimation.loss import loss_of
 from casadi_engine.estimation.options import as_number, begun_at, small
 from casadi_engine.estimation.prediction import Prediction, check_band, with_band
 from casadi_engine.experiment import Channel, Experiment
@@ -23,6 +24,7 @@ from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving, channel_unit
 from casadi_engine.model.lags import lagged, with_nearest_lags
 from casadi_engine.parameters import Parameters, near_matches
+from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.late_outputs import as_shown
@@ -135,7 +137,7 @@ def simulate(
                 allowed=f"a value for each of {', '.join(names)}",
                 cure="give initial={state: value, ...}",
             )
-        given = _fitted_start(model, data, values, given, method)
+        given = _fitted_start(model, data, values, given, method, fit)
     of_fit = bool(measured) and all(isinstance(value, Estimate) for value in given.values())
     data = begun_at(data, given, model, ())
     known = dict(zip(model.parameter_names, values.tolist(), strict=True))
@@ -199,15 +201,17 @@ def _check_kinds(model: Any, data: Any, parameters: Any, initial: Any) -> None:
 
 
 def _fitted_start(
-    model: Model, data: Experiment, values: Array, given: Mapping[str, float], method: Method
+    model: Model, data: Experiment, values: Array, given: Mapping[str, float], method: Method, source: Any
 ) -> dict[str, Any]:
-    """The initial state that explains the measured outputs best, parameters held."""
+    """The initial state that explains the measured outputs best, parameters held; as a fit does, where it is of one."""
     seen = _measured(model, data)
-    known = [k for k, out in enumerate(model.outputs) if out.name in seen]
+    known: Mapping[str, Any] = source.residual_level if isinstance(source, Fit) else {}
+    noise = Noise(**{name: known[name] for name in seen if known.get(name, 0.0) > 0})
+    rows = [k for k, out in enumerate(model.outputs) if out.name in seen]
     model = replace(
         model,
-        outputs=tuple(model.outputs[k] for k in known),
-        output_expressions=ca.vertcat(*[model.output_expressions[k] for k in known]),
+        outputs=tuple(model.outputs[k] for k in rows),
+        output_expressions=ca.vertcat(*[model.output_expressions[k] for k in rows]),
     )
     fixed = model.parameters()
     for name, value in zip(model.parameter_names, values, strict=True):
@@ -216,7 +220,16 @@ def _fitted_start(
             float(value), min=min(parameter.min, float(value)), max=max(parameter.max, float(value))
         )
         fixed.fix(name)
-    fit = estimate(model, data, parameters=fixed, initial=given, method=method, progress=False)
+    fit = estimate(
+        model,
+        data,
+        parameters=fixed,
+        initial=given,
+        noise=noise,
+        loss=loss_of(source),
+        method=method,
+        progress=False,
+    )
     if not fit.converged:
         raise SimulationError(
             "the initial state could not be fitted to the measured outputs",

@@ -15,6 +15,7 @@ from casadi_engine.estimation.few_samples import UNKNOWN
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.followed import OTHERS, lost
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
+from casadi_engine.estimation.loss import loss_of
 from casadi_engine.experiment.units import unit_words
 from casadi_engine.model.declared_units import seconds_in
 
@@ -213,9 +214,7 @@ def _gain(fit: Fit) -> list[str]:
 def cost_words(fit: Fit) -> str:
     """The cost, what it is per sample, and what that can tell."""
     text = f"{number(fit.cost, '.7g')}   chi2/N {number(fit.cost / fit.n if fit.n else None, '.4g')}"
-    squares = (
-        fit.options.get("loss", "square") == "square"
-    )  # a robust loss has the level of the inner residuals
+    squares = not loss_of(fit).robust  # a robust loss has the level of the inner residuals
     if squares and fit.noise and all(estimated for _, estimated in fit.noise.values()):
         text += " (near 1 by construction: sigma is estimated)"
     return text + f"   dof {number(fit.dof, '.6g')}"
@@ -468,7 +467,7 @@ def next_steps(fit: Fit) -> list[str]:
 
 def _for_errors(fit: Fit) -> list[str]:
     """What tells the errors that are doubted; a posterior is of fits with the noise of the measurement alone."""
-    if fit.innovations is None and fit.options.get("loss", "square") == "square":
+    if fit.innovations is None and not loss_of(fit).robust:
         return [f"{_bounded_first(fit)}the errors that the data do tell: print(ce.posterior(fit))"]
     if fit.innovations is None or fit.innovations.kind == "process":
         return []

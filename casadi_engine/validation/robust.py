@@ -9,17 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from casadi_engine.estimation import Fit, Trace
-from casadi_engine.estimation.loss import Loss, read_loss
+from casadi_engine.estimation.loss import Loss
 from casadi_engine.experiment import Experiment
-
-# Key of a fit's options: from how many standard deviations on a residual counts linearly, where it does.
-KNEE = "knee"
-
-
-def loss_of(fit: object) -> Loss:
-    """The loss that a fit was made with."""
-    knee = fit.options.get(KNEE) if isinstance(fit, Fit) else None
-    return read_loss("square" if knee is None else ("huber", float(knee)))
 
 
 def pulled_in(fit: Fit, loss: Loss) -> Fit:

@@ -15,6 +15,7 @@ from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, Trace, estimate
 from casadi_engine.estimation.faulty_samples import faults, wild_samples
 from casadi_engine.estimation.fit_percent import fit_measures
+from casadi_engine.estimation.loss import loss_of
 from casadi_engine.estimation.varied_noise import sizes_of
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.twins import twin_of
@@ -27,7 +28,7 @@ from casadi_engine.validation.level_tests import mean_test, size_test
 from casadi_engine.validation.parameter_check import ParameterCheck, Refit, noise_changed, refit
 from casadi_engine.validation.projection import orthonormal
 from casadi_engine.validation.residual_tests import ResidualTest, check_residual, rejected
-from casadi_engine.validation.robust import loss_of, pulled_in
+from casadi_engine.validation.robust import pulled_in
 
 Array = NDArray[np.float64]
 # Output -> standard deviation of the noise, and from how many degrees of freedom it was found.
@@ -169,8 +170,8 @@ def validate(
     failed = rejected(tests, alpha=alpha)
     notes = _notes(fit, held, again, alpha, failed) if isinstance(fit, Fit) else ()
     # beside a few samples that are larger than all else no test sees anything
-    blind = "" if wild_samples(held) is None else HERE
-    if not blind and isinstance(fit, Fit) and wild_samples(fit) is not None:
+    blind = "" if wild_samples(held, tails=True) is None else HERE
+    if not blind and isinstance(fit, Fit) and wild_samples(fit, tails=True) is not None:
         blind = IN_FIT
     passed = not failed and not blind and any(test.p_value is not None for test in tests.values())
     return Validation(

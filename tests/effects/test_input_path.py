@@ -168,3 +168,25 @@ def test_a_transfer_asks_for_an_input_of_the_unit_of_the_ports_own_signal():
         "cellar_to_tank"
     ]  # Ta has friction at the tank
     assert [port.name for port in ports_for(bridge(), transfer) if port.kind == "path"] == []
+
+
+def heater():
+    """A heater and the air around it; water thrown on the heater is recorded, and the model knows nothing of it."""
+    b = ce.Blueprint("heater")
+    b.input("w", unit="kg/s")
+    power = b.input("P", unit="W")
+    air, stones = b.state("Ta", unit="K"), b.state("Ts", unit="K")
+    into, out = (
+        b.port("air", "inertia", {"speed": air}, unit="W"),
+        b.port("stones", "inertia", {"speed": stones - air}, unit="W"),
+    )
+    b.ode("Ta", (60 * (stones - air) - 70 * air + into) / 4e4)
+    b.ode("Ts", (power - 60 * (stones - air) + out) / 6e4)
+    b.output("T", air, unit="K")
+    return b.model()
+
+
+def test_an_input_that_acts_at_one_port_may_act_at_another_one_too():
+    """What it does in the model is what it does without what was found: steam leaves the stones and heats the air."""
+    wider = heater().with_effect(InputPath(), at="w_to_air", values={"gain": 2e6})
+    assert {port.name for port in ports_for(wider, InputPath())} >= {"w_to_air", "w_to_stones"}

@@ -341,3 +341,24 @@ def test_a_band_without_slopes_is_refused():
     )
     with pytest.raises(SimulationError, match=r"no slopes along the simulation|not finite"):
         ce.simulate(fit, late, initial={"x": 1.0}, band=True)
+
+
+@pytest.mark.parametrize("kind", ["outliers", "louder"])
+def test_the_start_of_a_fresh_record_is_fitted_as_the_fit_was(kind):
+    """By its loss, and with the error that its own noise asks for: a band of least squares beside outliers, or with
+    the level of the fit beside five times that noise, held the truth in two thirds."""
+    fit, inside = fit_of(record(0), loss="huber" if kind == "outliers" else "square"), []
+    for seed in range(20):
+        plain, random = record(100 + seed, "fresh", n=60, start=1.0), np.random.default_rng(seed)
+        speed = np.array(plain["omega"].values)
+        if kind == "outliers":
+            speed[random.choice(np.arange(20), 3, replace=False)] += 15 * SIGMA
+        else:
+            speed += 5 * SIGMA * random.standard_normal(60)
+        units = {"T": "N m", "omega": "rad/s"}
+        fresh = ce.Experiment.from_arrays(
+            "fresh", time=plain["T"].time, units=units, hold="zero", T=plain["T"].values, omega=speed
+        )
+        band = ce.simulate(fit, fresh, band=True)["omega"]
+        inside.append(band.low[0] <= 1.0 <= band.high[0])
+    assert 17 <= sum(inside) <= 20

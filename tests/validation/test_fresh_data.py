@@ -391,3 +391,16 @@ def test_an_input_that_goes_on_otherwise_is_said(first):
     said = " ".join(str(ce.validate(fit, strong.with_hold(F=hold))).split())
     assert f'read these data with_hold(F="{fit.data[0]["F"].hold}")' in said
     assert "with_hold" not in str(check)
+
+
+@pytest.mark.parametrize("at", [[200], [80, 200, 310, 330]])
+def test_single_samples_of_a_fresh_record_are_named_whatever_fails(first, at):
+    fit, strong, _ = first
+    coded = np.array(strong["x"].values)
+    coded[at] = -9999.0
+    fresh = strong.with_channel(Channel("x", "m", time=strong["x"].time, values=coded)).renamed("coded")
+    check = ce.validate(fit, fresh)
+    said = " ".join(str(check).split())
+    assert not check.passed
+    assert f"{len(at)} single sample" in said
+    assert "Next: look at the data first, as noted above, and test again" in said
