@@ -115,13 +115,16 @@ def paired_gain(before: Sequence[Residuals], after: Sequence[Residuals]) -> Pair
     return replace(found, confirmed=found.chance is not None and found.chance < CHANCE)
 
 
-def is_foretold(before: Sequence[Residuals], after: Sequence[Residuals]) -> bool:
+def is_foretold(before: Sequence[Residuals], after: Sequence[Residuals], found: int = 0) -> bool:
     """True if what one model leaves of fresh data is the noise of the search in every output, and the other leaves what
     lies between them beyond it: where few pieces hold most that an effect does, its gains scatter by that, and not by
     chance.
 
     For white noise: by chi-squared, with the levels that the search found, and by the normal distribution of the noise
     along the difference of both, which asks of an effect no more than it does.
+
+    found : numbers that the other model has of the fresh data themselves, as the time of an event: they choose that
+        difference, out of as many as there are samples, by the noise that is asked
     """
     left: dict[str, tuple[float, int]] = {}
     along = moved = 0.0
@@ -132,7 +135,11 @@ def is_foretold(before: Sequence[Residuals], after: Sequence[Residuals]) -> bool
         along += float(between @ old.e) / new.sigma
         moved += float(between @ between)
     noise = min((float(chi2_sf(*own)) for own in left.values()), default=0.0) > _NOISE / max(len(left), 1)
-    return noise and moved > 0 and float(normal_sf(along / math.sqrt(moved))) < _SURE
+    if not (noise and moved > 0 and along > 0):
+        return False
+    size, samples = along / math.sqrt(moved), sum(count for _, count in left.values())
+    chance = samples**found * float(chi2_sf(size**2, 1 + found)) if found else float(normal_sf(size))
+    return chance < _SURE
 
 
 def signed_rank_sf(ranks: int, count: int) -> float:

@@ -250,7 +250,8 @@ def judge(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseM
         return Judgement(gain, True)
     part = "cycle" if any(v.name == "theta" for v in before[0].model.inputs) else "piece"
     size = f"{gain.mean:.3g} ± {gain.se:.2g} per {part}"
-    if gain.mean > 0 and not noise.colour and not noise.scatter and is_foretold(old, new):
+    found = sum(len(one.parameters) for one in after) - sum(len(one.parameters) for one in before)
+    if gain.mean > 0 and not noise.colour and not noise.scatter and is_foretold(old, new, max(found, 0)):
         why = f"the gain differs from {part} to {part} as what the effects do does; what is left in all of them is the"
         return Judgement(gain, True, why=f"{why} noise of the search, which confirms it")
     if gain.refused:

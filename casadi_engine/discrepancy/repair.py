@@ -331,7 +331,8 @@ class _Job:
                 self.search = None
                 return self._no_answer(null_fit, alpha, fault, of=_NO_VALUE)
         self.timing |= search.timing
-        if not (null_fit.converged or search.best or follows_by_function(search.refits)):
+        creeps = ONE_STEP in null_fit.status  # along a valley, as a model that lacks something may
+        if not (null_fit.converged or creeps or search.best or follows_by_function(search.refits)):
             return self._no_answer(null_fit, alpha)
         told = [*remarks(search.chosen.fit, scatter), *self.cut]
         widths = ", ".join(f"{one.width} = {pars[one.width].value:.2g}" for one in self.model.corners)
@@ -347,6 +348,8 @@ class _Job:
         answer = Answer(fresh, alpha, self.asked, self.timing, self.begun, self.tell)
         with self.deadline.spared(math.inf):  # what it can do without asks the time itself
             made = answer.made()
+        if creeps and made.verdict == "nothing missing":
+            return self._no_answer(null_fit, alpha)
         if lower is not None:
             self.tell("fits of the whole data")
             clock = time.perf_counter()

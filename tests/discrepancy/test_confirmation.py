@@ -97,6 +97,25 @@ def test_what_is_too_small_for_the_level_of_the_noise_is_foretold_along_what_an_
     assert false == 0
 
 
+def test_a_time_that_fresh_data_chose_is_paid_for():
+    """The best step of all in noise alone, and one of 12 standard errors."""
+    random, count = np.random.default_rng(3), 500
+    after = replace(residuals(0.0, cycles=10), cycle=np.repeat(np.arange(10), count // 10))
+
+    def asked(law, found):
+        e = 0.97 * random.standard_normal(count) + law
+        left = np.cumsum(e[::-1])[::-1]
+        lengths = np.arange(count, 0, -1)
+        begin = int(np.argmax(left**2 / lengths))
+        step = np.where(np.arange(count) >= begin, left[begin] / lengths[begin], 0.0)
+        own = replace(after, e=e, measured=e, sigma=1.0)
+        return is_foretold([own], [replace(own, e=e - step)], found)
+
+    by_chance = [asked(0.0, found=1) for _ in range(2000)]
+    assert sum(by_chance) == 0
+    assert sum(asked(np.repeat([0.0, 12 / np.sqrt(200)], [300, 200]), found=1) for _ in range(100)) > 90
+
+
 @pytest.mark.parametrize("count", [3, 10])
 def test_ranks_are_those_of_wilcoxon(count):
     for seed in range(5):
