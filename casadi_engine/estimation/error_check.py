@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cached_property
 from typing import NamedTuple
 
@@ -106,7 +107,9 @@ def doubts_of(
     of_states: dict[int, Rises] = {}
     found = rivals(search, best, errors, optima)
     found += lost(search, errors, residuals) + interpolated(search, errors) + unstable(errors)
-    found += [] if found else exchanged(search, errors)
+    if not found:
+        with suppress(np.linalg.LinAlgError):  # a point of that search; the answer does not hang on it
+            found += exchanged(search, errors)
     if unchecked is None:
         around = _Around(search, best, errors, residuals)
         try:

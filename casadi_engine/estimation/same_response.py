@@ -33,7 +33,8 @@ _LONGEST = 2.0
 _ONE, _OTHER = 1e-9, 1e-2
 # Share of its largest value below which a response is nothing.
 _SMALL = 1e-3
-_DAMPING, _CHANGE = 1e-3, 6.0
+# Damping to begin with, its change from step to step, and the least, above what rounding makes of a singular matrix.
+_DAMPING, _CHANGE, _FLOOR = 1e-3, 6.0, 1e-10
 
 
 def same_response(
@@ -101,7 +102,7 @@ def _searched(responses: _Responses, here: Complex, weight: Array) -> Array:
         better = new[0] < cost[busy]
         now = busy[better]
         q[now], cost[now], gradient[now], matrix[now] = after[better], *(part[better] for part in new)
-        damping[busy] *= np.where(better, 1 / _CHANGE, _CHANGE)
+        damping[busy] = np.maximum(_FLOOR, damping[busy] * np.where(better, 1 / _CHANGE, _CHANGE))
         cost[busy[(damping[busy] > 1e6)]] = np.inf  # it is stuck
     return q[cost <= _ONE**2]
 

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.estimation import same_response
 
 
 def oral(*, most=20.0, second=None):
@@ -137,3 +138,24 @@ def _two_masses():
     w = run.y[1] + 0.02 * np.random.default_rng(1).standard_normal(t.size)
     data = ce.Experiment.from_arrays("run", time=t, units={"T": "N m", "w1": "rad/s"}, T=torque, w1=w)
     return b.model(), data
+
+
+class _OneNumberTwice:
+    """The cube of the sum of two numbers: its normal matrix is singular everywhere, and many steps are taken."""
+
+    def at(self, q):
+        sums = q.sum(axis=1)[:, None, None] * np.ones((1, 1, 4), dtype=complex)
+        return sums**3, np.repeat(3 * sums[:, None] ** 2, 2, axis=1)
+
+    def drawn(self, count):
+        return np.linspace(-3.0, -1.0, count)[:, None] * np.ones(2)
+
+    def inside(self, q):
+        return q
+
+
+def test_a_singular_search_ends_without_an_error():
+    """Its damping fell with every step until the matrix was singular in numbers of 64 bits, and a repair was lost."""
+    found = same_response._searched(_OneNumberTwice(), np.zeros((1, 4), dtype=complex), np.ones((1, 4)))
+    assert len(found)
+    assert np.allclose(found.sum(axis=1), 0.0, atol=1e-2)
