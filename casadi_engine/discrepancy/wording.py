@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -52,6 +53,7 @@ def first_words(repair: Repair) -> list[str]:
     said += as_an_input(repair)
     said += constant_inputs(repair)
     said += _of_internal_ports(repair.null_fit.model)
+    said += _of_unknown_units(repair.null_fit.model)
     if is_blind(repair) and _only_internal(repair.null_fit.model):
         said.append("Besides, wrong fixed parameters and sensor errors alone were tested")
     elif is_blind(repair):
@@ -91,6 +93,19 @@ def _of_internal_ports(model: Model) -> list[str]:
             f'may depend on: b.port("{idle[0]}", "internal", {{"signal": ...}}), or the kind "inertia" or "coupling"'
         )
     return said
+
+
+def _of_unknown_units(model: Model) -> list[str]:
+    """What is not looked for as nobody said in what it would be: what passes from one port to another."""
+    able = [port for port in model.ports if port.kind == "inertia" and port.unit == NOT_STATED]
+    pairs = [(a, b) for a, b in combinations(able, 2) if set(a.signals) & set(b.signals) - {"angle"}]
+    if not pairs:
+        return []
+    names = " and ".join(", ".join(dict.fromkeys(one.name for pair in pairs for one in pair)).rsplit(", ", 1))
+    return [
+        f"Nothing that passes between {names} is looked for, as the unit of what acts there is not stated. Give states "
+        f'and parameters their units, "1" for a number, or b.port("{pairs[0][0].name}", ..., unit="...")'
+    ]
 
 
 def names_own_law(repair: Repair) -> bool:

@@ -217,6 +217,8 @@ def _learn(learnt: Array, here: Squares, there: Squares, moved: Array) -> tuple[
         learnt = learnt * min(1.0, abs(float(moved @ wanted) / bent))
     rest = wanted - learnt @ moved
     scale = float(rest @ moved)
-    if abs(scale) > _SAFE * float(np.linalg.norm(rest) * np.linalg.norm(moved)):
+    with np.errstate(over="ignore"):  # far off
+        size = float(np.linalg.norm(rest) * np.linalg.norm(moved))
+    if abs(scale) > _SAFE * size:
         learnt = learnt + np.outer(rest, rest) / scale
     return learnt, better

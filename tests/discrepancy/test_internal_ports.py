@@ -1,10 +1,11 @@
 """Internal ports: functions of their signals are looked for, effects of the library are not, and the answer says it."""
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.wording import _of_internal_ports
+from casadi_engine.discrepancy.wording import _of_internal_ports, _of_unknown_units
 
 
 def around(time):
@@ -86,3 +87,22 @@ def test_the_internal_port_of_a_builder_needs_no_words():
     model = ce.two_mass(reciprocating_inertia="variable")
     assert any(port.kind == "internal" for port in model.ports)
     assert _of_internal_ports(model) == []
+
+
+@pytest.mark.parametrize("unit", ["-", "1"])
+def test_what_would_pass_between_ports_of_unknown_units_is_said(unit):
+    """A mole fraction in "1" has a pipe to its neighbour, one in "-" has none."""
+    b = ce.Blueprint("column")
+    ports = []
+    for name in ("top", "low"):
+        x = b.state(f"x_{name}", unit=unit)
+        ports.append(b.port(name, "inertia", {"speed": x}))
+        b.ode(f"x_{name}", -x + ports[-1])
+        b.output(name, x, unit=unit)
+    model = b.model()
+    said = _of_unknown_units(model)
+    assert [port.name for port in model.ports.links] == ([] if unit == "-" else ["top_and_low"])
+    assert len(said) == (unit == "-")
+    if said:
+        assert said[0].startswith("Nothing that passes between top and low is looked for")
+        assert 'b.port("top", ..., unit="...")' in said[0]
