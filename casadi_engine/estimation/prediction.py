@@ -8,7 +8,7 @@ is added. From draws of a posterior the outputs are simulated one by one, and th
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 LEVEL = 0.95
 # Draws of a posterior that are simulated, evenly taken from all.
-_DRAWS = 200
+DRAWS = 200
 # How often steps are shortened for one draw, until the outputs are those of the equations within a share of the noise.
 _SHORTENED = 8
 # Share of the largest singular value below which a record says nothing of a combination of initial states.
@@ -67,7 +67,7 @@ class Prediction:
 
     simulated : what ``simulate`` returns without bands; data : the record; bands : output -> Band
     draws : how many draws of a posterior it was made of, 0 for the delta method
-    messages : what the user should know
+    messages : what the user should know; runs : output -> (draws, N) simulated with each of them
     """
 
     simulated: Experiment
@@ -75,6 +75,7 @@ class Prediction:
     bands: Mapping[str, Band]
     draws: int = 0
     messages: tuple[str, ...] = ()
+    runs: Mapping[str, Array] = field(default_factory=dict)
 
     def __getitem__(self, output: str) -> Band:
         if output in self.bands:
@@ -167,10 +168,11 @@ def with_band(
         }
         wide = root * np.hypot(spread, around.sigma[:, None])
         parts |= {"low_noise": value - wide, "high_noise": value + wide}
-        count = 0
+        count, runs = 0, {}
     else:
         drawn = around.drawn(model.draws)
         count, beyond = len(drawn), (1 - LEVEL) / 2
+        runs = {name: drawn[:, k] for k, name in enumerate(outputs)}
         noise = np.random.default_rng(0).standard_normal(drawn.shape) * around.sigma[:, None]
         parts = {"value": np.median(drawn, axis=0), "stderr": drawn.std(axis=0, ddof=1)}
         parts["low"], parts["high"] = np.quantile(drawn, [beyond, 1 - beyond], axis=0)
@@ -182,7 +184,7 @@ def with_band(
         )
         for k, name in enumerate(outputs)
     }  # fmt: skip
-    return Prediction(simulated, data, bands, count, tuple(messages))
+    return Prediction(simulated, data, bands, count, tuple(messages), runs)
 
 
 def _wider(fit: Fit, record: str, state: str) -> float:
@@ -335,7 +337,7 @@ class _Record:
                 cure="give the posterior of a fit of this model",
             )
         rng, found = np.random.default_rng(0), []
-        for k in np.unique(np.linspace(0, count - 1, min(count, _DRAWS)).astype(int)):
+        for k in np.unique(np.linspace(0, count - 1, min(count, DRAWS)).astype(int)):
             z = np.array(
                 [draws[n][k] if n in known else own for n, own in zip(self.pmap.free, self.z, strict=True)]
             )

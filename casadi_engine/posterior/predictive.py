@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import PosteriorError
+from casadi_engine.estimation import Fit, Prediction
 from casadi_engine.estimation.options import check_level, whole
+from casadi_engine.estimation.prediction import DRAWS
 from casadi_engine.estimation.simulate import simulate
 from casadi_engine.experiment import Experiment
 
@@ -84,10 +86,27 @@ class Predictive:
         return ends[0], ends[1]
 
 
-def predictive(post: Posterior, data: Any = None, *, draws: int = 60, seed: int = 0) -> Predictive:
-    """Simulate a record with draws of the parameters, each from the initial states that suit the measured outputs best.
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """Some draws of a posterior, in their order, as ``simulate`` takes them."""
 
-    data : an Experiment (default: the first of the fit's records); draws : number of draws; seed : of their choice
+    fit: Fit
+    draws: Mapping[str, Array]
+
+
+def predictive(
+    post: Posterior,
+    data: Any = None,
+    *,
+    draws: int = 60,
+    seed: int = 0,
+    initial: Mapping[str, float] | None = None,
+) -> Predictive:
+    """Simulate a record with draws of the parameters, each from initial states drawn from those that explain its
+    measured outputs; where the fit held them, of its own record, from these.
+
+    data : an Experiment (default: the first of the fit's records); draws : number of draws, 200 at most; seed : of
+    their choice; initial : state -> value, all of them, of a record whose outputs were not measured
 
     Raises PosteriorError for what is no record, and what ``simulate`` raises.
     """
@@ -99,40 +118,24 @@ def predictive(post: Posterior, data: Any = None, *, draws: int = 60, seed: int 
             allowed="an Experiment, or None for the fit's first record",
             cure="read one by read_experiment(path)",
         )
-    count = min(whole("draws", draws, 2), len(post.values))
+    count = min(whole("draws", draws, 2), len(post.values), DRAWS)
     chosen = np.random.default_rng(whole("seed", seed, 0)).choice(len(post.values), count, replace=False)
-    fit, outputs = post.fit, [out.name for out in post.fit.model.outputs]
-    runs: dict[str, list[Array]] = {name: [] for name in outputs}
-    sigma: dict[str, list[float]] = {name: [] for name in outputs}
-    for k in chosen:
-        found = simulate(fit.model, record, parameters=_parameters(post, int(k), record.name))
-        for name in outputs:
-            runs[name].append(found[name].values)
-            own = f"sigma({name})"
-            sigma[name].append(float(post[own][k]) if own in post.names else fit.noise[name][0])
-    time = found[outputs[0]].time
+    some = _Drawn(post.fit, {name: own[chosen] for name, own in post.draws.items()})
+    found: Prediction = simulate(some, record, initial=initial, band=True)
+    outputs = post.fit.model.outputs
+    time = found.simulated[outputs[0].name].time
     measured = {
-        name: np.interp(time, record[name].time, np.where(record[name].mask, record[name].values, np.nan))
-        for name in outputs
-        if name in record
+        out.name: np.interp(
+            time, record[out.name].time, np.where(record[out.name].mask, record[out.name].values, np.nan)
+        )
+        for out in outputs
+        if out.name in record
     }
-    return Predictive(
-        record.name,
-        time,
-        {name: np.array(rows) for name, rows in runs.items()},
-        {name: np.array(rows) for name, rows in sigma.items()},
-        measured,
-        {out.name: out.unit for out in fit.model.outputs},
-    )
-
-
-def _parameters(post: Posterior, k: int, record: str) -> dict[str, float]:
-    """Name -> value of the model's parameters at a draw, ties kept."""
-    own = post.fit.parameters.copy()
-    for name, value in zip(post.names, post.values[k], strict=True):
-        plain, _, where = name.partition("@")
-        if plain in own and (not where or where == record):
-            parameter = own[plain]
-            parameter.set(float(np.clip(value, parameter.min, parameter.max)))
-    values = own.as_dict()
-    return {name: values[name] for name in post.fit.model.parameter_names}
+    levels = {out.name: np.full(found.draws, post.fit.noise[out.name][0]) for out in outputs}
+    levels |= {
+        name: np.resize(post[own][chosen], found.draws)
+        for name in levels
+        if (own := f"sigma({name})") in post.names
+    }
+    units = {out.name: out.unit for out in outputs}
+    return Predictive(record.name, time, found.runs, levels, measured, units)

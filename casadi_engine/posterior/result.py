@@ -161,11 +161,11 @@ class Posterior:
 
         return table(self)
 
-    def predictive(self, data: Any = None, *, draws: int = 60, seed: int = 0) -> Any:
+    def predictive(self, data: Any = None, *, draws: int = 60, seed: int = 0, initial: Any = None) -> Any:
         """What the posterior foretells of a record's outputs; see ``predictive``."""
         from casadi_engine.posterior.predictive import predictive
 
-        return predictive(self, data, draws=draws, seed=seed)
+        return predictive(self, data, draws=draws, seed=seed, initial=initial)
 
     def save(self, path: Any) -> Path:
         """Write the draws, what they say and their fit as result.json, all or nothing, and return its path.
