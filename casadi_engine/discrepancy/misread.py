@@ -86,7 +86,12 @@ def misread(
     ways = readings(fit.model, records, every=every)
     job = _Readings(fit.model, records, parameters, noise, options, len(ways) if every else _TRIED)
     if (sensors := _sensors(fit, poor)) is not None:
-        ways = [one for one in ways if one.what == "output" and sensors.issuperset(one.names)]
+        outputs = {out.name for out in fit.model.outputs}
+        ways = [
+            one for one in ways
+            if (one.what == "output" and sensors.issuperset(one.names))
+            or (one.what == "exchange" and outputs.issuperset(one.names) and sensors.intersection(one.names))
+        ]  # fmt: skip
     found = job.good(ways, work, lambda shares: min(shares.values(), default=0.0) >= _GOOD)
     if found:
         before = _listed(followed(fit))

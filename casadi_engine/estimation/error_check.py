@@ -328,16 +328,19 @@ class _Around:
         if curvature > RUGGED:
             text = (
                 f"the errors are not known: within them the model is far from linear along {names} (curvature "
-                f"{curvature:.2g}, flat below 0.5), so that noise decides which optimum is the lowest; {CALL}"
+                f"{curvature:.2g}, flat below {FLAT:g}), so that noise decides which optimum is the lowest; {CALL}"
             )
             return [Doubt("rugged", text, move, curvature)]
         found, matrix = [], self.errors.kept
-        if curvature > FLAT or not all(RISES[0] < rise < RISES[1] for rise in rises):
+        uneven = not all(RISES[0] < rise < RISES[1] for rise in rises)
+        if curvature > FLAT or uneven:
             low, high = (FAR**2 * rise for rise in rises)
-            bend = f" (curvature {curvature:.2g})" if curvature > FLAT else ""
             text = (
                 f"the likelihood is not quadratic along {names}: {FAR:g} standard errors away chi-squared rises by "
-                f"{low:.2g} and {high:.2g}, not by {FAR**2:g}{bend}"
+                f"{low:.2g} and {high:.2g}, not by {FAR**2:g}"
+                if uneven
+                else f"the outputs bend along {names} within the errors "
+                f"(curvature {curvature:.2g}, flat below {FLAT:g})"
             )
             found.append(Doubt("curved", text, move, curvature))
         for k in np.flatnonzero(bends > _BENDS):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -11,13 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import casadi_engine
-from casadi_engine.errors import MissingDependencyError
+from casadi_engine.errors import MissingDependencyError, OutputError
 from casadi_engine.report.figures import figures
 from casadi_engine.report.files import write_file
 from casadi_engine.report.page_figures import PageFigures
 
 # The figures of a page may take this many bytes of it; what is beyond is named, not drawn.
 FIGURE_BYTES = 2_300_000
+# What a page of this program has in its foot, whichever version wrote it.
+_MARK = b"Written by casadi-engine "
 
 
 @dataclass(frozen=True)
@@ -57,9 +60,10 @@ def report(
     arguments : what the command was given, for the section on how it was made
 
     Raises MissingDependencyError without jinja2, ResultError for another kind of result, OutputError when
-    the file cannot be written (the old one stays).
+    the file cannot be written (the old one stays), or is there already and no page of this program's.
     """
     template = _template()
+    _refuse_others(path)
     from casadi_engine.report.sections import page_of
 
     title, subtitle, sections = page_of(result, validation, dict(arguments or {}))
@@ -81,6 +85,29 @@ def report(
         f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC.",
     )
     return write_file(path, content.encode())
+
+
+def _refuse_others(path: Any) -> None:
+    """OutputError for a path that does not end as a page does, or under which there is another file."""
+    if not isinstance(path, str | os.PathLike):
+        return  # the writer says what is wrong
+    there = Path(os.fsdecode(os.fspath(path)))
+    if there.is_dir():
+        return
+    if there.suffix.lower() not in (".html", ".htm"):
+        raise OutputError(
+            "a report is a page for a browser",
+            seen=str(there),
+            allowed="a path that ends in .html",
+            cure=f'write ce.report(result, "{there.with_suffix(".html")}")',
+        )
+    if there.is_file() and _MARK not in there.read_bytes():
+        raise OutputError(
+            f"a file of this name would be lost: {there}",
+            seen="a file that is no report of this program",
+            allowed="a new file, or an earlier report, which is replaced",
+            cure="give another name, or move the file away",
+        )
 
 
 def _with_figures(section: Section, drawn: PageFigures) -> Section:

@@ -50,7 +50,7 @@ def test_tails_that_decide_a_fit_are_said_with_the_loss_that_bounds_them():
     few = np.random.default_rng(0).standard_normal(400)
     few[20] = 400.0
     assert "huber" not in wild_samples(fit_that_leaves(few), tails=True)
-    fit.options = {"loss": "huber"}
+    fit.options = {"loss": "huber", "knee": 1.345}
     assert wild_samples(fit, tails=True) is None
 
 

@@ -144,6 +144,20 @@ def test_errors_of_report(tmp_path, fit):
     assert os.listdir(tmp_path) == []
 
 
+def test_no_other_file_is_replaced(tmp_path, fit):
+    """A script of that name was lost, without a word."""
+    script, page = tmp_path / "study.py", tmp_path / "notes.html"
+    script.write_text("print(1)")
+    page.write_text("<p>mine</p>")
+    with pytest.raises(OutputError, match=r"ends in \.html; do: write ce\.report\(result, .*study\.html"):
+        report(fit, script)
+    with pytest.raises(OutputError, match=r"a file of this name would be lost: .*notes\.html"):
+        report(fit, page)
+    assert (script.read_text(), page.read_text()) == ("print(1)", "<p>mine</p>")
+    first = report(fit, tmp_path / "r.html")
+    assert report(fit, first) == first
+
+
 def test_a_page_needs_neither_matplotlib_nor_scipys_signals(tmp_path, factory, validation, monkeypatch):
     for name in list(sys.modules):
         if name.partition(".")[0] == "matplotlib" or name.startswith("scipy.signal"):
@@ -170,7 +184,8 @@ def test_without_jinja2(tmp_path, fit, monkeypatch):
 
 def test_a_failing_write_leaves_the_old_page(tmp_path, fit, monkeypatch):
     path = tmp_path / "report.html"
-    path.write_text("old")
+    old = "<p>Written by casadi-engine 0.1</p>"
+    path.write_text(old)
 
     def fail(*_):
         raise OSError(28, "No space left on device")
@@ -178,5 +193,5 @@ def test_a_failing_write_leaves_the_old_page(tmp_path, fit, monkeypatch):
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(OutputError, match=r"report\.html: cannot be written; seen: .*No space left"):
         report(fit, path)
-    assert path.read_text() == "old"
+    assert path.read_text() == old
     assert os.listdir(tmp_path) == ["report.html"]
