@@ -121,7 +121,7 @@ def _saddle(search: Search, errors: Uncertainty, cost: float) -> str | None:
         tried += [(np.sum(lost, axis=0), text), (alternating @ np.array(lost), text)]
     nv, lower, upper = len(errors.v), search.lower, search.upper
     for direction, text in tried:
-        idle = not direction[:nv].any()
+        idle, unmoved = not direction[:nv].any(), 0
         for step in (-1e-2, 1e-2, -1.0, 1.0):
             v = np.clip(errors.v + step * direction[:nv], lower[:nv], upper[:nv])
             moved, at = [], nv
@@ -134,8 +134,9 @@ def _saddle(search: Search, errors: Uncertainty, cost: float) -> str | None:
                 fall = cost - printed_cost(search, v, moved)
             except (FloatingPointError, np.linalg.LinAlgError, ModelError):
                 continue
-            if idle and abs(fall) <= _UNMOVED * cost:
-                break  # what nothing depends on, as an angle that is counted from anywhere
+            unmoved += idle and abs(fall) <= _UNMOVED * cost
+            if unmoved == 2:
+                break  # to both sides: what nothing depends on, as an angle that is counted from anywhere
             if fall > _FALL + SHARE * cost and not search.constraints.violated(v):
                 return (
                     f"the data have no slope in {text} here, yet a step of {step:g} times its scale lowers "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, overload
 
 import casadi as ca
@@ -15,6 +16,7 @@ from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.fit import Estimate, Fit
+from casadi_engine.estimation.known_starts import found_from_known
 from casadi_engine.estimation.loss import loss_of
 from casadi_engine.estimation.options import as_number, begun_at, small
 from casadi_engine.estimation.prediction import Prediction, check_band, with_band
@@ -220,16 +222,11 @@ def _fitted_start(
             float(value), min=min(parameter.min, float(value)), max=max(parameter.max, float(value))
         )
         fixed.fix(name)
-    fit = estimate(
-        model,
-        data,
-        parameters=fixed,
-        initial=given,
-        noise=noise,
-        loss=loss_of(source),
-        method=method,
+    find = partial(
+        estimate, model, data, parameters=fixed, initial=given, noise=noise, loss=loss_of(source), method=method,
         progress=False,
-    )
+    )  # fmt: skip
+    fit = found_from_known(source, find(), lambda warm: find(warm=warm))
     if not fit.converged:
         raise SimulationError(
             "the initial state could not be fitted to the measured outputs",

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import Fit, estimate
+from casadi_engine.estimation.known_starts import found_from_known
 from casadi_engine.estimation.summary import with_error
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
@@ -70,11 +72,13 @@ def held_on(fit: Fit, data: Any, *, noise: Noise, method: str, loss: Any = "squa
     for record in records:
         known = any(key.partition("@")[2] == record.name for key in fit.values)
         alike.setdefault(record.name if known else None, []).append(record)
-    found = [
-        estimate(fit.model, group, parameters=parameters_for(fit, group[0].name), noise=noise, method=method,
-                 loss=loss, progress=False)
-        for group in alike.values()
-    ]  # fmt: skip
+    found = []
+    for group in alike.values():
+        find = partial(
+            estimate, fit.model, group, parameters=parameters_for(fit, group[0].name), noise=noise, method=method,
+            loss=loss, progress=False,
+        )  # fmt: skip
+        found.append(found_from_known(fit, find(), lambda warm: find(warm=warm)))  # noqa: B023
     return found[0] if len(found) == 1 else _together(found, [record.name for record in records])
 
 

@@ -192,6 +192,8 @@ def next_step(validation: Validation) -> str:
     """What to type next."""
     if all(test.p_value is None for test in all_tests(validation).values()):
         return "give a longer record: ce.validate(fit, longer)"
+    if "initial states" in validation.blind:
+        return "look at the record from a start of your own: ce.simulate(fit, record, initial={state: value, ...})"
     if validation.blind:
         whose = "of the fit " if "decide the fit" in validation.blind else ""
         return f"look at the data {whose}first, as noted above, and test again"

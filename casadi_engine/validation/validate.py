@@ -40,6 +40,7 @@ _LAGS, _OF_LAG, _LEAST = 25, 4, 15
 # Beside what tests see nothing.
 HERE = "single samples that are larger than all else"
 IN_FIT = "single samples that decide the fit, whose noise level is theirs"
+UNFOUND = "initial states that were not found"
 NOT_FRESH = ResidualTest(None, None, None, 0, why="not fresh data")
 
 
@@ -173,6 +174,8 @@ def validate(
     blind = "" if wild_samples(held, tails=True) is None else HERE
     if not blind and isinstance(fit, Fit) and wild_samples(fit, tails=True) is not None:
         blind = IN_FIT
+    if held is not fit and not held.converged:
+        failed, blind = (), UNFOUND
     passed = not failed and not blind and any(test.p_value is not None for test in tests.values())
     return Validation(
         records, passed, tuple(failed), alpha, held, None if again is None else again.check, notes, blind
@@ -219,7 +222,7 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
     ]
     if held is not fit and not held.converged:
         said.append(
-            f"the initial states were not found on these data: {held.status}; the tests are of that point"
+            f"the initial states were not found on these data: {held.status}; the numbers are of that point"
         )
     if held is not fit:
         said += _held_otherwise(fit, held)
