@@ -52,17 +52,27 @@ class InputGain(SensorGain):
         return "a crank angle is counted in turns" if port.name == "input_theta" else super().idle(port)
 
 
+# Share of its mean below which the variation of an input is what acts, beside a constant: nearly all that the whole of
+# it does would be that constant, which an air pressure is not to be blamed for.
+_STEADY = 0.1
+
+
 @dataclass(frozen=True)
 class InputPath(Effect):
     """An input that acts at a further port, in proportion: gain u, as a force of which a part is taken by a neighbour,
     or the sun on a wall that the model has not.
 
     It acts at a path, ``u_to_a`` from the input u to the port a. Looked at are inputs of the unit of what acts there,
-    and those that no equation uses: who records one expects that it matters.
+    and those that no equation uses: who records one expects that it matters. Of an input that hardly varies about its
+    mean, as an air pressure or a room's temperature in K, it is the variation: gain (u − mean).
+
+    about : what is taken off the input, in its unit; None for the mean of such a one, 0 of any other
 
     >>> InputPath().describe("sun_to_room")
     'the input sun acts at room'
     """
+
+    about: float | None = None
 
     name = "input_path"
     attaches = ("path",)
@@ -71,9 +81,22 @@ class InputPath(Effect):
     amplitude = Amplitude("gain", unit="N m/rad")
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
-        """gain u."""
+        """gain (u - about)."""
         del math
-        return p.gain * port.input
+        return p.gain * (port.input - (self.about or 0.0))
+
+    def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
+        """The same about the mean of an input that hardly varies."""
+        del values
+        name = port.name.partition("_to_")[0]
+        if self.about is not None or name not in record:
+            return self
+        known = record[name].values[record[name].mask]
+        mean, spread = (float(np.mean(known)), float(np.std(known))) if len(known) else (0.0, 0.0)
+        if not 0 < spread < _STEADY * abs(mean):
+            return self
+        short = float(f"{mean:.4g}")  # as it is printed
+        return replace(self, about=short if abs(short - mean) < spread else mean)
 
     def _called(self, port: str) -> str:
         """Both ends."""
