@@ -313,7 +313,7 @@ def law_words(model: Model, family: Family) -> str:
         return f"the sensor {name} drifts with time"
     if port.kind == "sensor" and family.signal not in port.signals:
         return f"the sensor {name} depends on {family.signal} too"
-    if port.kind == "input" and name in model.unused_inputs:
+    if port.kind == "input" and name in model.idle_inputs:
         return f"something depends on {name}, which no equation uses"
     if port.kind == "input" and family.signal not in port.signals:
         return f"what acts as the input {name} depends on {family.signal} too"

@@ -82,7 +82,7 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
     made: dict[str, Signal] = {
         name: Signal(name, symbol, along(null, symbol)) for name, symbol in [*every, (TIME, model.t)]
     }
-    unused = model.unused_inputs
+    unused = model.idle_inputs
     found = []
     for port in model.ports:
         if port.kind == "parameter" and "." not in port.parameter and _acts(model, port):
@@ -128,7 +128,7 @@ def unused_everywhere(model: Model, free: Collection[str]) -> list[Family]:
     blank = np.array([0.0, 1.0])
     may = [one.name for one in model.ports if one.slot is not None]
     may += [p.name for p in model.ports if p.kind == "parameter" and p.parameter in free and _acts(model, p)]
-    return [smooth_family(port, name, blank) for name in model.unused_inputs for port in may]
+    return [smooth_family(port, name, blank) for name in model.idle_inputs for port in may]
 
 
 def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.SX]]) -> set[str]:

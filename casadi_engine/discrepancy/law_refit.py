@@ -103,7 +103,7 @@ def _with_unused(refits: Refits, others: Sequence[Family]) -> list[Family]:
     """Functions, and beside one of time at some port those of the inputs that were recorded and act on nothing: one of
     time does what any of these did in this record, and nothing that it does in another one."""
     ports = [one.port for one in others if one.signal == TIME]
-    names = refits.refitter.model.unused_inputs
+    names = refits.refitter.model.idle_inputs
     blank = np.array([0.0, 1.0])
     return [*others, *(smooth_family(port, name, blank) for port in ports for name in names)]
 

@@ -170,9 +170,11 @@ def unknown_law(
         return None
     columns: dict[str, dict[str, dict[str, Array]]] = {}
     found: list[Rival] = []
+    # a function of an input that acts by these effects alone has them as its special case, and is no rival
+    idle = {f"input_{name}" for name in refits.refitter.model.idle_inputs} if effects else set()
     for k, (candidates, families, among) in enumerate(_offered(null, bare, refits.levels, everywhere)):
         every = family_columns(null, candidates)
-        for family in families:
+        for family in (one for one in families if one.port not in idle):
             columns[family.name] = _members(every, family)
             beside = beside_it(bare, columns[family.name])
             made = counted_with(beside, priors, family, others, random)

@@ -184,6 +184,20 @@ class Model:
         acting = ca.vertcat(self.ode, self.laws, self.drive_expressions, self.output_expressions, ca.SX(0))
         return tuple(u.name for k, u in enumerate(self.inputs) if not ca.depends_on(acting, self.u[k]))
 
+    @cached_property
+    def idle_inputs(self) -> tuple[str, ...]:
+        """The inputs that act on nothing, or by effects alone: what an input does in a model is what it does without
+        these."""
+        if not self.effects:
+            return self.unused_inputs
+        names = {one.amplitude for one in self.effects}
+        gone = ca.vertcat(*[self.p[k] for k, name in enumerate(self.parameter_names) if name in names])
+        acting = ca.vertcat(
+            self.closed_ode, self.laws, self.drive_expressions, self.output_expressions, ca.SX(0)
+        )
+        left = ca.substitute(acting, gone, ca.SX.zeros(gone.shape))
+        return tuple(u.name for k, u in enumerate(self.inputs) if not ca.depends_on(left, self.u[k]))
+
     # ---- effects
 
     def with_effect(

@@ -29,7 +29,7 @@ def is_further(model: Model, path: Port, effect: Any) -> bool:
     (end,) = path.ends
     name = path.name.removesuffix(f"_to_{end}")
     symbol = model.u[[one.name for one in model.inputs].index(name)]
-    if not _acts(model, symbol):
+    if name in model.idle_inputs:
         return True
     if path.unit == NOT_STATED or path.units.get("input") in (None, NOT_STATED):
         return False
@@ -39,24 +39,11 @@ def is_further(model: Model, path: Port, effect: Any) -> bool:
     by_input = ca.jacobian(model.closed_ode, symbol)
     by_slot = ca.jacobian(model.ode, model.ports[end].slot)
     unknown = [model.x, model.u, model.d, model.w, model.t]
-    values = ca.vertcat(*[0.0 if one.name in _amplitudes(model) else one.value for one in model.declarations])
+    missing = {one.amplitude for one in model.effects}  # what they add is no part of what the input does
+    values = ca.vertcat(*[0.0 if one.name in missing else one.value for one in model.declarations])
     look = ca.Function("look", [*unknown, model.p], [ca.horzcat(by_input, by_slot)])
     rng = np.random.default_rng(0)
     found = np.array(look(*(rng.uniform(0.5, 1.5, one.numel()) for one in unknown), values))
     return bool(
         np.linalg.matrix_rank(found / np.maximum(np.linalg.norm(found, axis=0), 1e-300), tol=_ALIKE) > 1
     )
-
-
-def _amplitudes(model: Model) -> set[str]:
-    """Of the effects of a model: what they add is no part of what an input does in it."""
-    return {one.amplitude for one in model.effects}
-
-
-def _acts(model: Model, symbol: ca.SX) -> bool:
-    """True if anything but effects depends on an input."""
-    named = zip(model.declarations, ca.vertsplit(model.p), strict=True) if model.effects else ()
-    gone = [own for one, own in named if one.name in _amplitudes(model)]
-    every = ca.vertcat(model.closed_ode, model.drive_expressions, model.output_expressions, ca.SX(0))
-    left = ca.substitute(every, ca.vertcat(*gone), ca.SX.zeros(len(gone), 1)) if gone else every
-    return bool(ca.depends_on(left, symbol))

@@ -190,3 +190,19 @@ def test_an_input_that_acts_at_one_port_may_act_at_another_one_too():
     """What it does in the model is what it does without what was found: steam leaves the stones and heats the air."""
     wider = heater().with_effect(InputPath(), at="w_to_air", values={"gain": 2e6})
     assert {port.name for port in ports_for(wider, InputPath())} >= {"w_to_air", "w_to_stones"}
+    assert (heater().idle_inputs, heater().unused_inputs) == (("w",), ("w",))
+    assert (wider.idle_inputs, wider.unused_inputs) == (("w",), ())
+
+
+@pytest.mark.parametrize(("level", "about"), [(101325.0, 101300.0), (3.0, None)])
+def test_an_input_that_hardly_varies_acts_by_its_variation(level, about):
+    """The mean of an air pressure is a constant, and was named as what the pressure does."""
+    w = level + 2.0 * np.sin(TIME) * (100.0 if about else 1.0)
+    units = {"w": "kg/s", "P": "W", "T": "K"}
+    data = ce.Experiment.from_arrays("r", time=TIME, units=units, w=w, P=0 * w, T=0 * w)
+    found = ce.effects.candidates(heater(), [InputPath()], data)
+    assert {one.effect.about for one in found if one.at == "w_to_air"} == {about}
+    made = heater().with_effect(InputPath(about=2.0), at="w_to_air", values={"gain": 5.0})
+    rate = ca.Function("rate", [made.x, made.u, made.t, made.p], [made.closed_ode])
+    slope = rate(0, ca.vertcat(3.0, 0.0), 0, made.parameter_vector()).full().ravel()
+    np.testing.assert_allclose(slope, [5.0 / 4e4, 0.0])
