@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import casadi as ca
+import numpy as np
 
 from casadi_engine.discrepancy.clocks import Clock, clock_of
+from casadi_engine.effects.protocol import moves
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.estimation.summary import with_error
 from casadi_engine.model.linearity import is_affine
@@ -20,26 +22,32 @@ _DELAY, _LAG = "sensor_delay", "sensor_lag"
 _CONSTANT, _SAME = "constant_torque", " does the same"
 # Standard errors within which times are one.
 _ALIKE = 3.0
+# Points at which equations are asked whether they know the time, and the slope that is none.
+_POINTS, _NOTHING = 3, 1e-9
 
 
 def common_delay(repair: Repair) -> str:
     """What to say where every sensor is late by the same time, or in a linear model behind by the same lag; ""
-    elsewhere, and of a model without inputs or whose equations depend on time itself, as by an event.
+    elsewhere, and of a model without inputs or whose equations depend on time itself.
 
     Else the states do not know the time: with inputs that act late by τ all outputs are those without delay at t - τ,
-    but for where the record begins. And a linear model answers what passes a filter as what it answered passes it.
+    but for where the record begins, and events whose times are found come τ later. And a linear model answers what
+    passes a filter as what it answered passes it.
     """
     model = repair.model
     sensors = {port.name for port in model.ports if port.kind == "sensor"}
     inputs = [variable.name for variable in model.inputs]
     equations = ca.vertcat(model.closed_ode, model.output_expressions)
-    if not inputs or ca.depends_on(equations, model.t):
+    events = [one.key for one in model.effects if moves(one.effect)]
+    if not inputs or _know_the_time(model, equations, events):
         return ""
+    later = f", and {' and '.join(events)} later by that" if events else ""
     clock = clock_of(model)
     which = f"the input {inputs[0]} acts" if len(inputs) == 1 else "the inputs act"
     late = {one.at: one.amplitude for one in repair.effects if one.name == _DELAY}
     if set(late) == sensors and (time := _one_time(late.values(), clock)):
-        return _said(len(sensors), "late", f"{which} {time} later than recorded (an actuator, another clock)")
+        where = f"{which} {time} later than recorded (an actuator, another clock){later}"
+        return _said(len(sensors), "late", where)
     if any(m.name == "input_lag" for one in repair.effects for m in one.members):
         return ""  # it is in the class
     behind = {one.at: one for one in repair.effects if one.name == _LAG}
@@ -50,6 +58,19 @@ def common_delay(repair: Repair) -> str:
     if time := _one_time(times, clock):
         return _said(len(sensors), "behind", f"{which} through a lag of {time} (an actuator)")
     return ""
+
+
+def _know_the_time(model: Model, equations: ca.SX, events: Sequence[str]) -> bool:
+    """True of equations that change where the time and those of events are counted from another instant."""
+    if not ca.depends_on(equations, model.t):
+        return False
+    slope = ca.jacobian(equations, model.t)
+    for key in events:
+        slope += ca.jacobian(equations, model.p[model.parameter_names.index(f"{key}.time")])
+    symbols = [model.x, model.u, model.d, model.w, model.t, model.p]
+    look, random = ca.Function("look", symbols, [ca.densify(slope)]), np.random.default_rng(0)
+    found = [look(*(random.uniform(0.5, 1.5, one.numel()) for one in symbols)) for _ in range(_POINTS)]
+    return not np.allclose(np.array(found, dtype=float), 0.0, atol=_NOTHING)
 
 
 def _is_linear(model: Model) -> bool:

@@ -7,17 +7,23 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.common_delay import as_an_input, common_delay
+from casadi_engine.effects import LoadStep
+from casadi_engine.effects.protocol import Attachment
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.model.term import NotApplicable
 
 
-def late(*delays, inputs=("u",), outputs=2, timed=False):
-    """A repair that found delays (value, standard error) of the first of so many sensors."""
+def late(*delays, inputs=("u",), outputs=2, timed=None):
+    """A repair that found delays (value, standard error) of the first of so many sensors.
+
+    timed(t, p) : what the equations have of the time, and of a parameter that is the time of an event
+    """
     ports = [SimpleNamespace(kind="sensor", name=f"sensor_y{k}") for k in range(outputs)]
-    x, t = ca.SX.sym("x"), ca.SX.sym("t")
+    x, t, p, none = ca.SX.sym("x"), ca.SX.sym("t"), ca.SX.sym("p"), ca.SX(0, 1)
     model = SimpleNamespace(
-        ports=ports, inputs=[SimpleNamespace(name=name) for name in inputs], t=t,
-        closed_ode=-x + ca.sin(t) if timed else -x, output_expressions=x, time_unit="s",
+        ports=ports, inputs=[SimpleNamespace(name=name) for name in inputs], x=x, u=none, d=none, w=none, t=t, p=p,
+        closed_ode=-x + (timed(t, p) if timed else 0.0), output_expressions=x, time_unit="s",
+        parameter_names=("hull.load_step.time",), effects=[Attachment(LoadStep(), "hull", False, {})] if timed else [],
     )  # fmt: skip
     effects = [
         SimpleNamespace(
@@ -53,12 +59,18 @@ def test_a_delay_of_the_only_sensor_may_be_that_of_the_input():
         late((0.0193, 0.0003), (0.025, 0.0003)),
         late((0.0193, 0.0003), (0.0193, None)),
         late((0.0193, 0.0003), (0.0193, 0.0003), inputs=()),
-        late((0.0193, 0.0003), (0.0193, 0.0003), timed=True),  # an event has its own time
+        late((0.0193, 0.0003), (0.0193, 0.0003), timed=lambda t, p: ca.sin(t)),
         late(),
     ],
 )
 def test_nothing_is_said_of_other_delays(other):
     assert common_delay(other) == ""
+
+
+def test_an_event_whose_time_is_found_comes_later_by_the_delay():
+    """The data are the same: a thrust 0.12 s late, and a load at 13.48 s, were a late sensor and a load at 13.37 s."""
+    said = common_delay(late((0.0193, 0.0003), outputs=1, timed=lambda t, p: ca.tanh((t - p) / 0.3)))
+    assert "(an actuator, another clock), and hull.load_step later by that, the data are the same" in said
 
 
 @pytest.mark.parametrize(("at", "said"), [("air", True), ("food", False)])
