@@ -11,12 +11,14 @@ import casadi as ca
 
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.repaired import Unknown
+from casadi_engine.discrepancy.wording import HOLDS
 from casadi_engine.effects.table import rows_of
 from casadi_engine.estimation.corner_widths import courses, paths_of
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import FoundEffect, Repair
     from casadi_engine.estimation import Fit
+    from casadi_engine.estimation.fit import Estimate
 
 _LAW = "a law that the library lacks may be the true one there"
 
@@ -49,13 +51,21 @@ def _said(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
     """What is said of the effects at a port; "" of those that stand for themselves."""
     names = f"{' and '.join(one.name for one in own)} at {at}"
     numbers = [value for one in own for value in one.parameters.values()]
-    if len(numbers) > 1 and all(one.stderr is None and one.interval is None for one in numbers):
+    if len(numbers) > 1 and not any(_is_told(one) for one in numbers):
         verb, whose = ("are", "their") if len(own) > 1 else ("is", "its")
         return f"{names} {verb} identified as one curve alone, none of {whose} parameters by itself: {_LAW}"
     signal = _one_signal(fit, at, 2) if len(own) > 1 and fit is not None else None
     if signal is None:
         return ""
     return f"{names} add up to a curve over {signal}, which keeps its sign in the records: {_LAW}"
+
+
+def _is_told(one: Estimate) -> bool:
+    """True of a number that the data tell: by an error, an interval, or an error of the quadratic that leaves it away
+    from 0, where a look beside the optimum found that this is not symmetric; not of one that is held."""
+    if one.stderr is not None or one.interval is not None:
+        return True
+    return one.quadratic is not None and abs(one.value) > HOLDS * one.quadratic
 
 
 def _over_one_variable(fit: Fit | None, effects: Sequence[FoundEffect]) -> str:
