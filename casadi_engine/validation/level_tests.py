@@ -8,6 +8,7 @@ against zero, and the size against the noise of the fit.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -74,8 +75,8 @@ def size_test(
     """Test whether a residual (n,) is larger than ``LOUDER`` times the noise of the fit.
 
     level, dof : standard deviation of that noise, and from how many degrees of freedom it was estimated, inf for one
-    that was stated; correlation : with its past, by which its squares are worth fewer samples; fitted : how many
-    numbers were fitted to these data
+    that was stated; correlation : with its past, by which its squares are worth fewer samples, as they are where its
+    tails are heavy; fitted : how many numbers were fitted to these data
     """
     count = len(residual)
     if count < fitted + _FEWEST or not level > 0:
@@ -86,9 +87,33 @@ def size_test(
         )
         return ResidualTest(None, None, None, count, why=why)
     ratio = float(residual @ residual) / count / level**2
-    worth = max(count / (1 + 2 * float((_past(correlation) ** 2).sum())), 1.0)
+    worth = max(count / (1 + 2 * float((_past(correlation) ** 2).sum())) / _tails(residual), 1.0)
     chance = float(f_sf(ratio / LOUDER**2, worth, dof if math.isfinite(dof) else _STATED))
     return ResidualTest(ratio, 1, chance, count)
+
+
+def worth_of(residuals: Sequence[FloatArray]) -> float:
+    """The share of residuals (n,) of one output that counts for their level as white normal noise does: squares of
+    coloured noise go together, and those of heavy tails scatter more."""
+    whole, worth = 0, 0.0
+    for one in residuals:
+        whole += len(one)
+        if len(one) < _FEWEST or not one.any():
+            continue
+        rho = _past(autocorrelation(one, lags=min(_LAGS, len(one) // 2)))
+        coloured = len(rho) > 0 and abs(rho[0]) > _COLOUR / math.sqrt(len(one))
+        stop = int(np.argmax(rho <= 0)) if (rho <= 0).any() else len(rho)
+        memory = 1 + 2 * float((rho[: max(stop, 1)] ** 2).sum()) if coloured else 1.0
+        worth += len(one) / memory / _tails(one)
+    return worth / whole if whole else 1.0
+
+
+def _tails(residual: FloatArray) -> float:
+    """By how much squares scatter more than those of normal noise: from the fourth moment, beyond chance."""
+    squares = residual**2
+    size = float(squares.mean())
+    excess = float((squares**2).mean()) / size**2 - 3 if size > 0 else 0.0
+    return 1 + excess / 2 if excess > _COLOUR * math.sqrt(24 / len(residual)) else 1.0
 
 
 def _past(correlation: Correlation) -> FloatArray:

@@ -22,7 +22,7 @@ from casadi_engine.estimation.fit_percent import FloatArray
 from casadi_engine.estimation.single_shots import Place, SingleShots
 from casadi_engine.estimation.varied_noise import sizes_of
 from casadi_engine.problem.noise import Noise
-from casadi_engine.validation.level_tests import memory_of
+from casadi_engine.validation.level_tests import memory_of, worth_of
 from casadi_engine.validation.parameter_prior import PriorSplit
 from casadi_engine.validation.projection import orthonormal
 from casadi_engine.validation.residual_tests import ResidualTest
@@ -119,9 +119,14 @@ class Refit:
 
 
 def noise_changed(fit: Fit, again: Refit, output: str) -> float:
-    """Chance of a ratio of the two noise levels of an output that is as far from one (two-sided, Fisher's F)."""
+    """Chance of a ratio of the two noise levels of an output that is as far from one (two-sided, Fisher's F), as many
+    samples as each residual is worth."""
     fresh, own = again.levels[output]
-    larger = float(f_sf((fresh / own) ** 2, max(again.freedom[output], 1.0), max(fit.dof, 1.0)))
+    here = worth_of([one for place, one in again.residual.items() if place[1] == output])
+    there = worth_of([t[output].residual[t[output].mask] for t in fit.traces.values() if output in t])
+    larger = float(
+        f_sf((fresh / own) ** 2, max(here * again.freedom[output], 1.0), max(there * fit.dof, 1.0))
+    )
     return 2.0 * min(larger, 1.0 - larger)
 
 
@@ -278,7 +283,7 @@ class _Problem:
             total = sum(float(left[rows] @ left[rows]) for rows in own)
             freedom = sum(float(rows.stop - rows.start - taken[rows].sum()) for rows in own)
             self.freedom[name] = freedom
-            if freedom > 0 and total > 0:
+            if freedom >= 1 and total > 0:  # less is rounding, of as many numbers as samples
                 found[name] = sigma[name] * math.sqrt(total / freedom)
         return found
 

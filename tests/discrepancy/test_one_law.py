@@ -48,7 +48,7 @@ def test_a_law_of_which_no_number_is_known_is_a_curve_too():
 
 @pytest.mark.parametrize(("quadratic", "told"), [(0.2, True), (0.6, False), (None, False)])
 def test_a_size_whose_error_is_not_symmetric_is_known_all_the_same(quadratic, told):
-    """A lag of 185 s, by a profile 143 to 254 s, was "none of its parameters by itself"; a share that is held is none."""
+    """A lag of 185 s, by a profile 143 to 254 s, was "none of its parameters by itself"; what is held is none."""
     made = found(("lag", "input", None, None))
     (one,) = made.effects
     numbers = {

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, ttest_1samp
 
 from casadi_engine.validation import Correlation, autocorrelation
-from casadi_engine.validation.level_tests import LOUDER, mean_test, size_test
+from casadi_engine.validation.level_tests import LOUDER, mean_test, size_test, worth_of
 
 
 def none(count):
@@ -52,3 +52,18 @@ def test_what_cannot_be_tested_says_why():
     assert size_test(many, 0.0, 10, none(20)).why == "the fit leaves no noise"
     assert size_test(np.zeros(0), 1.0, 10, none(0)).why == "0 valid samples: 8 are needed"
     assert size_test(many, 1.0, 10, none(20), fitted=13).why == "20 valid samples: 21 are needed"
+
+
+@pytest.mark.parametrize("kind", ["white", "coloured", "tails"])
+def test_a_level_is_told_by_as_many_samples_as_its_residual_is_worth(kind):
+    """The scatter of the logarithm of a mean square over records of one law: 2 over what they are worth."""
+    random, found, worth = np.random.default_rng(4), [], []
+    for _ in range(400):
+        e = random.standard_t(6, 400) if kind == "tails" else random.standard_normal(400)
+        for k in range(1, 400 if kind == "coloured" else 0):
+            e[k] += 0.8 * e[k - 1]
+        found.append(np.log(np.mean(e**2)))
+        worth.append(400 * worth_of([e]))
+    assert 2 / np.mean(worth) == pytest.approx(np.var(found), rel=0.25)
+    if kind == "white":
+        assert np.mean(worth) == pytest.approx(400, rel=0.03)
