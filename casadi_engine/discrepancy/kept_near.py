@@ -18,10 +18,18 @@ from casadi_engine.estimation import Fit, estimate
 
 # Standard deviation of the prior, in start values; what the fit may cost, in multiples of the work of the one before.
 _FACTOR, _MORE = 10.0, 4.0
+# Times its start value, or share of it, at which a parameter of a fit that was ended has run away.
+_FAR = 1e3
 KEPT_NEAR = (
     "the fit without effects has no end: it runs away along what the data do not tell; effects were looked for from "
     "where parameters stay within about ten times their start values"
 )
+
+
+def is_far_off(fit: Fit) -> bool:
+    """True where a parameter has run away from its start."""
+    pairs = [(abs(fit.values[name]), abs(fit.start.get(name, 0.0))) for name in fit.free]
+    return any(start > 0 and not start / _FAR < value < start * _FAR for value, start in pairs)
 
 
 def kept_near(fit: Fit, work: float, given: Mapping[str, Any], seconds: float = math.inf) -> Fit | None:

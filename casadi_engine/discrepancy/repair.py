@@ -23,7 +23,7 @@ from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import FRESH
 from casadi_engine.discrepancy.input_hold import other_hold
-from casadi_engine.discrepancy.kept_near import KEPT_NEAR, kept_near
+from casadi_engine.discrepancy.kept_near import KEPT_NEAR, is_far_off, kept_near
 from casadi_engine.discrepancy.law_refit import follows_by_function
 from casadi_engine.discrepancy.lost_beginning import with_lost_beginning
 from casadi_engine.discrepancy.lost_fit import explained, found_again
@@ -421,7 +421,8 @@ class _Job:
                 return fit, self.parameters, work
         ended = fit.status in ("interrupted", _SHARE_OVER)
         if (
-            not (fit.converged or ended)
+            not fit.converged
+            and (not ended or is_far_off(fit))
             and (near := kept_near(fit, own.done, given, _NULL * self.deadline.left)) is not None
         ):
             self.null_fit, self.kept = near, True
