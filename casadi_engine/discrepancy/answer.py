@@ -15,6 +15,7 @@ from casadi_engine.discrepancy.answer_words import (
     ahead,
     at_bounds,
     elsewhere,
+    odds_over_none,
     open_units,
     so_far,
     undetermined,
@@ -395,7 +396,7 @@ class Answer:
             done = replace(done, messages=(_MORE, *done.messages))
         if may_hide(done):
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
-        done = held_to_chance(done)
+        done = held_to_chance(done, odds_over_none(self.search))
         if asks_for_one(done, last.effects):
             refitter = self.search.refits.refitter
             done = self._in_time("all records", lambda: with_joint_fit(done, refitter)) or done

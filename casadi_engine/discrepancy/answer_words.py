@@ -35,6 +35,12 @@ def ahead(search: Choice) -> float:
     return top.counted - now.log
 
 
+def odds_over_none(search: Choice) -> float:
+    """The log odds of the structure that the search chose, over none, what its names cost taken off."""
+    now, none = search.pool[search.best], search.pool[frozenset()]
+    return now.log - none.log - search.price * len(now.effects) if now.effects else -math.inf
+
+
 def _top_so_far(search: Choice) -> Tried | None:
     """The most probable structure, where the time was up before its whole fit."""
     if TIME_UP not in search.failed.values():

@@ -19,9 +19,12 @@ from casadi_engine.discrepancy.repaired import UNCONFIRMED, Repair
 from casadi_engine.discrepancy.withdrawal import withdrawn
 
 
-def held_to_chance(repair: Repair) -> Repair:
-    """The repair without what chance may have made, where fresh data were asked and show nothing of it."""
-    if not _may_be_chance(repair):
+def held_to_chance(repair: Repair, log_odds: float = -math.inf) -> Repair:
+    """The repair without what chance may have made, where fresh data were asked and show nothing of it.
+
+    log_odds : of the structure that the search chose, over none, what its names cost taken off
+    """
+    if not _may_be_chance(repair, log_odds):
         return repair
     tests, fresh = _tests(repair), _p_of_fresh_data(repair)
     what = min(tests, key=lambda name: tests[name])
@@ -55,7 +58,7 @@ def _leaves_no_noise(repair: Repair) -> bool:
     return False
 
 
-def _may_be_chance(repair: Repair) -> bool:
+def _may_be_chance(repair: Repair, log_odds: float) -> bool:
     """True if fresh data were asked and confirm nothing, and no test says more than chance and they would together.
 
     A fresh residual that is not white says something is missing, whatever its name; where the noise is coloured,
@@ -74,6 +77,8 @@ def _may_be_chance(repair: Repair) -> bool:
     # effects that such a law takes the place of says nothing of it
     odds = None if repair.unknown is None else repair.unknown.odds
     if odds is not None and odds * CHANCE * repair.alpha > 1:
+        return False
+    if log_odds + math.log(CHANCE * repair.alpha) > 0:
         return False
     tests = _tests(repair)
     white = [p for one in gaps.validation_before.whiteness_p.values() for p in one.values() if p is not None]

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from casadi_engine.discrepancy import by_chance
@@ -413,12 +414,12 @@ def test_what_fresh_data_do_not_confirm_may_be_chance(repaired, monkeypatch):
         gaps, estimation_before=own, validation_before=own, validation_after=own, gain_per_cycle=None
     )
 
-    def judged(p, *, confirmed=False, tests=None, **changed):
+    def judged(p, *, confirmed=False, tests=None, odds=-np.inf, **changed):
         effects = tuple(replace(one, p_value=p) for one in repaired.effects)
         unknown = None if tests is None else Unknown("a law", tests)
         given = {"noise": noise, "gaps": gaps, "stopped": "", **changed}
         return held_to_chance(
-            replace(repaired, effects=effects, confirmed=confirmed, unknown=unknown, **given)
+            replace(repaired, effects=effects, confirmed=confirmed, unknown=unknown, **given), odds
         )
 
     chance = judged(3e-3)
@@ -426,10 +427,12 @@ def test_what_fresh_data_do_not_confirm_may_be_chance(repaired, monkeypatch):
     assert chance.fit is repaired.null_fit
     assert [one.key for one in chance.withdrawn] == [one.key for one in repaired.effects]
     assert chance.messages[0].endswith("it has to be as improbable as what they confirm, p < 0.00023")
+    assert judged(3e-3, odds=8.0).verdict == "nothing missing"
     for kept in (
         judged(1e-4),
         judged(3e-3, confirmed=True),
         judged(3e-3, tests={"whiteness": 1e-5}),
+        judged(0.95, odds=9.0),  # by Markov's inequality e^-9 of chance, whatever its score
         judged(3e-3, stopped="the time budget"),
         judged(3e-3, gaps=replace(gaps, validation_before=None)),
         judged(
