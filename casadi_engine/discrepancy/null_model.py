@@ -44,8 +44,9 @@ FOUR_STROKE = 4 * np.pi
 _PIECES = 10
 # A constraint this close to its limit (in its own units) is taken to hold.
 _AT_LIMIT = 1e-6
-# Places along a record from which where a state goes is told.
-_PLACES = 4
+# Places along a record from which where a state goes is told; times as far as it goes that the rest of a spring may
+# well be away: a force that is a spring's from a million times as far is a constant.
+_PLACES, _TRAVELS = 4, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,7 +325,8 @@ def own_states(model: Model, x: Array) -> dict[str, tuple[float, float]]:
     """State of an effect's own -> how far from where it may well begin it does begin along states (M, n), and the
     standard deviation of that, in its scale, if they are more than a place or two.
 
-    One that follows a signal begins where the signal goes (``reach``); any other anywhere where it goes itself.
+    One that follows a signal begins where the signal goes (``reach``); one that is counted from where something rests
+    (``rests``) may well be so many times as far from there as it goes; any other begins anywhere where it goes itself.
     """
     found: dict[str, tuple[float, float]] = {}
     if len(x) < _PLACES:
@@ -333,8 +335,10 @@ def own_states(model: Model, x: Array) -> dict[str, tuple[float, float]]:
         reach = float(getattr(one.effect, "reach", 0.0))
         for k, state in enumerate(model.states):
             if state.name.startswith(f"{one.at}_{one.effect.name}_"):
-                off = float(x[0, k]) - one.effect.first if reach > 0 else 0.0
-                found[state.name] = off / state.scale, (reach or float(np.std(x[:, k]))) / state.scale
+                goes = float(np.std(x[:, k]))
+                away = float(np.mean(x[:, k])) / _TRAVELS if getattr(one.effect, "rests", False) else 0.0
+                off = float(x[0, k]) - one.effect.first if reach > 0 else away
+                found[state.name] = off / state.scale, (reach or goes) / state.scale
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -51,6 +51,7 @@ class GroundSpring(Effect):
 
     first: float = 0.0
 
+    rests: ClassVar[bool] = True
     name = "ground_spring"
     attaches = ("inertia",)
     kin = ("constant_torque", "relaxation", "sensor_lag")

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from casadi_engine.distributions import chi2_sf, f_sf
 from casadi_engine.estimation.autoregression import autoregression
 from casadi_engine.estimation.dichotomy import grows
+from casadi_engine.estimation.joint_noise import common_scatter
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
@@ -255,9 +256,19 @@ def with_own_noise(
     for _ in range(_ROUNDS):
         before, more, few = matrix, fixed.copy(), math.inf
         uneven, even = np.zeros_like(white), np.zeros_like(white)
-        for one, own, at in zip(noises, slopes, places, strict=True):
+        joint = set[int]()
+        for members in _in_common(search, noises):
+            at = places[members[0]]
+            both = [(noises[k], slopes[k]) for k in members]
+            scatter = _scatter_together(both, matrix[np.ix_(at, at)])
+            if scatter is not None:
+                more[np.ix_(at, at)] += _beyond(scatter, sum((own.T @ own for _, own in both), 0.0 * scatter))
+                joint |= set(members)
+        for k, (one, own, at) in enumerate(zip(noises, slopes, places, strict=True)):
             scatter, samples = _scatter(one, own, matrix[np.ix_(at, at)])
             few = min(few, samples)
+            if k in joint:
+                continue
             if one.others is None or one.neighbours is not None:
                 more[np.ix_(at, at)] += _beyond(scatter, own.T @ own)
             else:  # of louder records and quieter ones together
@@ -329,11 +340,7 @@ def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> tuple[Array, float]
         return slopes.T @ slopes * (one.level or 1.0) ** 2, math.inf
     from scipy.signal import lfilter
 
-    columns = one.residual[:, None]
-    if slopes.size <= _LONG:
-        values, vectors = np.linalg.eigh(errors)
-        taken = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-        columns = np.concatenate([columns, taken], axis=1)
+    columns = _with_taken(one, slopes, errors)
     noise = autoregression(columns, one.valid)
     predictor = _lasting(noise.predictors[-1], len(slopes))
     answer = lfilter([1.0], predictor, np.eye(1, len(slopes))[0])
@@ -344,6 +351,33 @@ def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> tuple[Array, float]
     backwards = np.concatenate([slopes[::-1], np.zeros((before, slopes.shape[1]))])
     passed = lfilter([level], predictor, backwards, axis=0)
     return np.asarray(passed.T @ passed), count * power * float(predictor.sum()) ** 2
+
+
+def _with_taken(one: OwnNoise, slopes: Array, errors: Array) -> Array:
+    """(n, 1 + k) the residual of an output, and columns of what estimates with these errors took out of it."""
+    if slopes.size > _LONG:
+        return one.residual[:, None]
+    values, vectors = np.linalg.eigh(errors)
+    return np.concatenate(
+        [one.residual[:, None], slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))], axis=1
+    )
+
+
+def _in_common(search: Search, noises: Sequence[OwnNoise]) -> list[list[int]]:
+    """The numbers of coloured outputs of one record that were sampled together, two at least."""
+    found: dict[tuple[int, bytes], list[int]] = {}
+    for k, one in enumerate(noises):
+        if one.neighbours is not None:
+            time = search.records[one.at].experiment[one.output].time
+            found.setdefault((one.at, time.tobytes()), []).append(k)
+    return [own for own in found.values() if len(own) > 1]
+
+
+def _scatter_together(members: Sequence[tuple[OwnNoise, Array]], errors: Array) -> Array | None:
+    """J'VJ of coloured outputs of a record, (noise, slopes) each, that may have their colour in common."""
+    valid = np.logical_and.reduce([one.valid for one, _ in members])
+    noises = [_with_taken(one, own, errors) * valid[:, None] for one, own in members]
+    return common_scatter(noises, valid, [own for _, own in members])
 
 
 def _lasting(predictor: Array, samples: int) -> Array:

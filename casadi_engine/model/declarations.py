@@ -194,6 +194,12 @@ class Port:
         acting, angle, time = (powers.get(symbol, Fraction(0)) for symbol in ("N", "rad", "s"))
         if not (acting or angle):
             return text
+        if (
+            self.kind == "path"
+            and self.units.get("input", NOT_STATED) == NOT_STATED
+            and "difference" not in self.signals
+        ):
+            return self.unit  # for one of the input, whatever that is
         place = None if self._place is None or time else self._place
         motion = self._motion if place is None else place
         if (acting and self.unit == NOT_STATED) or (angle and motion is None):

@@ -89,7 +89,8 @@ def test_it_is_offered_to_inputs_of_the_unit_of_what_acts_there_and_to_those_tha
 
 
 @pytest.mark.parametrize(
-    ("model", "at", "unit"), [(bridge(), "F_to_absorber", "1"), (room(), "sun_to_air", "m2")]
+    ("model", "at", "unit"),
+    [(bridge(), "F_to_absorber", "1"), (room(), "sun_to_air", "m2"), (bridge("-"), "F_to_absorber", "N")],
 )
 def test_its_gain_has_the_unit_of_what_acts_by_that_of_the_input(model, at, unit):
     made = model.with_effect(InputPath(), at=at, values={"gain": 0.5})
