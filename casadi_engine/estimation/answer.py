@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.constraints import Priors
+from casadi_engine.estimation.doubt import as_able
 from casadi_engine.estimation.doubted import judged
 from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, residual, response, verdict
 from casadi_engine.estimation.fit import Fit, Innovations, Optimum, Trace
@@ -116,6 +118,7 @@ def make_fit(
     predictor = _predictor(search, v, best.sigma, errors, known=known)
     # With noise covariances the search adds the likelihood of the innovations' size, zero at this fit from here on.
     size = problem.priors.size(v) if isinstance(problem.priors, SizedPriors) else 0.0
+    able = partial(as_able, predicted=predictor is not None, robust=search.loss.robust)
     timing["covariance"] = time.perf_counter() - clock
     timing["total"] = time.perf_counter() - begun
     fitted = search.parameters.copy()
@@ -147,7 +150,7 @@ def make_fit(
         fit_percent=percents,
         timing=timing,
         options=options,
-        messages=found.said + said + _coarse(integration),
+        messages=tuple(map(able, found.said + said + _coarse(integration))),
         states_at_start=first,
         gain=None if predictor is None else predictor.gain,
         innovations=predictor,

@@ -16,6 +16,25 @@ FLAT, RUGGED = 0.4, 1.5
 # standard errors apart, that is a tenth of one; where an interval changes its shape, or to another optimum, a third.
 _SHARE = {"rugged": 1e-4, "curved": 0.1, "bent": 0.1, "rival": 0.1}
 CALL = "call ce.posterior(fit)"
+OR_CALL = ", or ce.posterior(fit)"
+
+
+def as_able(words: str, *, predicted: bool, robust: bool) -> str:
+    """What is said of errors that are not known, for a fit that has no posterior: one of a predictor, whose profile
+    there is, or of a robust loss, which has no likelihood.
+
+    >>> as_able("the errors are not known; call ce.posterior(fit)", predicted=True, robust=False)
+    'the errors are not known; call ce.profile(fit), which holds the gain'
+    """
+    if robust:
+        asked = "mask the outliers and fit by squares, whose errors can be looked at"
+        words = words.replace("call ce.profile(fit)" + OR_CALL, asked)
+    elif predicted:
+        asked = "call ce.profile(fit), which holds the gain"
+        words = words.replace("call ce.profile(fit)" + OR_CALL, asked)
+    else:
+        return words
+    return words.replace(CALL, asked)
 
 
 @dataclass(frozen=True, eq=False)

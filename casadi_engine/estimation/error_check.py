@@ -39,7 +39,7 @@ from casadi_engine.estimation.beside_optimum import (
     unstable,
 )
 from casadi_engine.estimation.dichotomy import grows
-from casadi_engine.estimation.doubt import CALL, FLAT, RUGGED, Doubt
+from casadi_engine.estimation.doubt import CALL, FLAT, OR_CALL, RUGGED, Doubt
 from casadi_engine.estimation.exchanged import linear_residual
 from casadi_engine.estimation.few_samples import interpolated
 from casadi_engine.estimation.final_check import printed_cost, residual, response
@@ -154,7 +154,7 @@ def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
         text = f"{', '.join(doubt.text for doubt in own)}: no symmetric error"
         said.append(text if kind in ("bound", "uneven") else max(own, key=lambda doubt: doubt.size).text)
     if said and missing and all(doubt.profiles for doubt in doubts):
-        said[-1] += f"; for {', '.join(missing)} call ce.profile(fit), or ce.posterior(fit)"
+        said[-1] += f"; for {', '.join(missing)} call ce.profile(fit){OR_CALL}"
     return said
 
 

@@ -18,7 +18,9 @@ import numpy as np
 from casadi_engine.distributions import f_sf, normal_sf
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit
+from casadi_engine.estimation.doubt import as_able
 from casadi_engine.estimation.fit_percent import FloatArray
+from casadi_engine.estimation.loss import loss_of
 from casadi_engine.estimation.single_shots import Place, SingleShots
 from casadi_engine.estimation.varied_noise import sizes_of
 from casadi_engine.problem.noise import Noise
@@ -384,7 +386,8 @@ class _Problem:
 
     def _why_not(self) -> str:
         if self.fit.doubted:
-            return "the errors of the fit are not known, see its notes: ce.posterior(fit)"
+            words = "the errors of the fit are not known, see its notes: call ce.posterior(fit)"
+            return as_able(words, predicted=self.fit.innovations is not None, robust=loss_of(self.fit).robust)
         if self.fit.errors is None:
             return "the fit is no optimum, so that its parameters have no errors"
         if not self.fit.free:

@@ -251,9 +251,14 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
         said.append(f"fit and fresh data together go beyond {', '.join(again.check.beyond)}: it may be wrong")
     for output, (fresh, own) in again.levels.items():
         if own > 0 and (chance := noise_changed(fit, again, output)) < alpha:
+            what = (
+                "other noise, or something the model lacks that looks like noise"
+                if fresh > own
+                else "less noise"
+            )
             said.append(
                 f"what is left of {output} on these data is {fresh / own:.3g} times its noise in the fit "
-                f"(p {chance:.2g}): other noise, or something the model lacks that looks like noise"
+                f"(p {chance:.2g}): {what}"
             )
     return tuple(said)
 

@@ -208,7 +208,7 @@ def test_errors_that_are_not_known_test_nothing(first):
     assert check.parameters.p_value is None
     words = " ".join(str(check).split())
     assert (
-        "not tested: parameters: the errors of the fit are not known, see its notes: ce.posterior(fit)"
+        "not tested: parameters: the errors of the fit are not known, see its notes: call ce.posterior(fit)"
         in words
     )
 
