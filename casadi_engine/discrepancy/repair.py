@@ -348,8 +348,6 @@ class _Job:
         answer = Answer(fresh, alpha, self.asked, self.timing, self.begun, self.tell)
         with self.deadline.spared(math.inf):  # what it can do without asks the time itself
             made = answer.made()
-        if creeps and made.verdict == "nothing missing":
-            return self._no_answer(null_fit, alpha)
         if lower is not None:
             self.tell("fits of the whole data")
             clock = time.perf_counter()

@@ -43,9 +43,11 @@ def from_lower_places(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
 
 def merit(fit: Fit) -> float:
     """Twice the negative log likelihood, but for a constant: where noise levels are estimated chi-squared is about the
-    number of samples everywhere."""
-    total = fit.cost
-    for name, (sigma, estimated) in fit.noise.items():
+    number of samples everywhere, and so where innovations have the size that the noise covariances foretell."""
+    total, levels = fit.cost, fit.noise
+    if fit.innovations is not None and fit.innovations.kind == "process":
+        levels = {name: (sigma, True) for name, sigma in fit.innovations.sigma.items()}
+    for name, (sigma, estimated) in levels.items():
         count = sum(int(np.count_nonzero(own[name].mask)) for own in fit.traces.values() if name in own)
         total += 2 * count * math.log(sigma) if estimated and sigma > 0 else 0.0
     return total

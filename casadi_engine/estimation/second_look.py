@@ -21,8 +21,8 @@ from casadi_engine.estimation.lower_optimum import merit
 _LOWER, _SECONDS, _TIMES = 0.1, 2.0, 3.0
 # Seconds that a fit that is lost is worth at least: it is no answer, and one that went astray at once was quick.
 _WORTH = 20.0
-# Starts of a fit that is lost.
-_STARTS = 8
+# Starts of a fit that is lost, and of one of a predictor that is far from its start.
+_STARTS, _SEVERAL = 8, 4
 # Logarithm of the factor by which a parameter has left its start where another search is worth its time.
 _WAY = 1.0
 # What the option says then.
@@ -48,8 +48,13 @@ def looked_at_twice(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
     """
     plain = fit.options.get("approach") == "direct" and fit.options.get("starts") == 1
     short = ONE_STEP in fit.status  # of an optimum; what ran out of iterations was to take no more
-    if not plain or fit.innovations is not None or not (fit.converged or short):
+    if not plain or not (fit.converged or short):
         return fit
+    if (
+        fit.innovations is not None
+    ):  # process noise takes what a model does not follow: one start tells little
+        far = fit.converged and is_elsewhere(fit)
+        return _another(fit, again, {"starts": _SEVERAL}, _SEVERAL, {}) if far else fit
     if lost(fit):
         found = _another(fit, again, {"approach": "prediction"}, _TIMES, {"approach": BOTH}, _WORTH)
         searched = {OTHERS: _STARTS}
