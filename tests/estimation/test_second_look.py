@@ -283,5 +283,5 @@ def test_a_governor_with_process_noise_is_found_beside_a_wrong_optimum():
     )
     noise = ce.Noise(y=0.01, process={"f": "estimate"})
     best = ce.estimate(b.model(), data, noise=noise, starts=8, errors="quadratic", progress=False)
-    fit = ce.estimate(b.model(), data, noise=noise, errors="quadratic", progress=False)
+    fit = ce.estimate(b.model(), data, noise=noise, progress=False)
     assert merit(fit) == pytest.approx(merit(best), abs=0.01)
