@@ -331,8 +331,9 @@ def initial_words(fit: Fit, record: str) -> str:
             text += f" (at its {BOUND_WORDS[estimate.at_bound]} bound)"
         elif estimate.interval is not None:
             text += f" ({with_interval(*estimate.interval, estimate.value)})"
-        elif estimate.stderr is None and estimate.quadratic is None:  # what is doubted has a note of its own
-            text += f" (no error: {estimate.why or 'not known'})"
+        elif estimate.stderr is None:  # what is doubted has a note of its own
+            why = f"no error: {estimate.why or 'not known'}"
+            text += f" ({why})" if estimate.quadratic is None else " (error not known)"
         words.append(text)
     return ", ".join(words)
 

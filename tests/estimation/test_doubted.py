@@ -155,3 +155,37 @@ def test_an_interval_of_a_curved_likelihood_says_that_one_search_found_its_optim
     assert fit.estimates["w"].interval
     words = "the intervals are of the one optimum that was found: starts=10 looks for others"
     assert any(text.endswith(words) for text in fit.messages)
+
+
+def test_first_states_go_along_with_parameters_whose_intervals_are_not_symmetric():
+    """A top whose third rate nobody measures: a w2 is known, a and w2 are not; w2 stood as 7.0 +- 1.0, and 10.7 is
+    within 95 % of the likelihood."""
+    b = ce.Blueprint("top")
+    a, c = (b.parameter(name, value, min=0.01, max=0.99) for name, value in (("a", 0.5), ("b", 0.3)))
+    d = b.parameter("d", 0.05, unit="1/s", min=0, max=2)
+    x, y, z = (b.state(name, unit="rad/s") for name in ("x", "y", "z"))
+    b.ode("x", a * y * z - d * x)
+    b.ode("y", -c * x * z - d * y)
+    b.ode("z", (c - a) / (1 - a * c) * x * y - d * z)
+    b.output("g0", x, unit="rad/s")
+    b.output("g1", y, unit="rad/s")
+    random, time, records = np.random.default_rng(1000), 0.05 * np.arange(200), []
+
+    def rate(_, w):
+        return [
+            0.6 * w[1] * w[2] - 0.08 * w[0],
+            -0.4 * w[0] * w[2] - 0.08 * w[1],
+            -0.2 / 0.76 * w[0] * w[1] - 0.08 * w[2],
+        ]
+
+    for k, start in enumerate(([1.0, 0.2, 6.0], [0.3, 2.0, 4.0], [2.0, 2.0, -5.0])):
+        w = solve_ivp(rate, (0, 10), start, t_eval=time, rtol=1e-9, atol=1e-11).y[:2]
+        g = w + 0.1 * random.standard_normal(w.shape)
+        units = {"g0": "rad/s", "g1": "rad/s"}
+        records.append(ce.Experiment.from_arrays(f"r{k}", time=time, units=units, g0=g[0], g1=g[1]))
+    fit = ce.estimate(b.model(), records, progress=False)
+    assert fit.estimates["a"].interval is not None
+    assert [fit.initial[f"r{k}"]["z"].stderr for k in range(3)] == [None] * 3
+    assert fit.stderr["d"] == pytest.approx(4e-4, rel=0.2)
+    text = " ".join(str(fit).split())
+    assert "rad/s (error not known)" in text
