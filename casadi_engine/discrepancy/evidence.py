@@ -46,12 +46,14 @@ Columns = Mapping[str, Mapping[str, Array]]
 @dataclass(frozen=True)
 class Prior:
     """What is known of a free parameter before the data: its standard deviation, and for an amplitude that it is near
-    a centre (heavy tails), and on one side of it."""
+    a centre (heavy tails), and on one side of it; open : a parameter without bounds, which is near its start likewise.
+    """
 
     deviation: float
     amplitude: bool = False
     one_sided: bool = False
     centre: float = 0.0
+    open: bool = False
 
 
 @dataclass(frozen=True)
@@ -326,11 +328,14 @@ def _errors_alone(root: Array, turn: Array) -> Array:
 
 def _amplitudes(null: NullModel, priors: Mapping[str, Prior]) -> float:
     """log of the amplitudes' prior, Cauchy's or the half of it where one-sided, at their values, over the height of
-    the normal law that Occam's factor counts with."""
+    the normal law that Occam's factor counts with; and what parameters without bounds pay that ran away: a storage with
+    a millionth of its loss is the storage that a structure adds, under another name."""
     found = 0.0
     for name, value in zip(null.parameters, null.values, strict=True):
         own = priors[name]
         if own.amplitude:
             found -= math.log1p(((value - own.centre) / own.deviation) ** 2) + _HEAVY
             found += math.log(2) if own.one_sided else 0.0
+        elif own.open:
+            found -= math.log1p(((value - own.centre) / own.deviation) ** 2)
     return found

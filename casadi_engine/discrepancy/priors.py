@@ -51,7 +51,7 @@ def priors_of(null: NullModel, parameters: Parameters, effects: Sequence[Additio
             one, own = nuisance[stem]
             found[name] = Prior(_range_of(one, own, null, parameters, stem))
         else:
-            found[name] = Prior(_base(parameters, stem, float(null.values[k])))
+            found[name] = _base(parameters, stem, float(null.values[k]))
     return found
 
 
@@ -92,9 +92,10 @@ def _range_of(one: Addition, name: str, null: NullModel, parameters: Parameters,
     return max(abs(float(own.value)), 1e-12) * (2.0 if grid.log else 1.0)
 
 
-def _base(parameters: Parameters, name: str, value: float) -> float:
+def _base(parameters: Parameters, name: str, value: float) -> Prior:
     own = parameters[name]
     if math.isfinite(own.max - own.min) and own.max > own.min:
-        return float(own.max - own.min) / math.sqrt(12)
+        return Prior(float(own.max - own.min) / math.sqrt(12))
     # a declared value of 0 says nothing of the size
-    return _OPEN * max(abs(float(own.value) or value), 1e-12)
+    size = _OPEN * max(abs(float(own.value) or value), 1e-12)
+    return Prior(size, centre=float(own.value), open=bool(own.value))

@@ -479,3 +479,15 @@ def test_an_amplitude_may_be_expected_elsewhere_than_at_zero():
 
     assert log(1.0) - log(0.6) == pytest.approx(np.log(1 + 4.0**2))
     assert log(1.3) == pytest.approx(log(0.7))
+
+
+def test_a_parameter_without_bounds_pays_for_running_away():
+    """A store of 232 000 m2 for 20, behind which the structure's own store was the declared one by another name."""
+    null = linear(1, states=0)
+
+    def log(value, **known):
+        return log_of(replace(null, values=np.array([value])), {"p0": Prior(200.0, centre=20.0, **known)})
+
+    assert log(20.0, open=True) - log(20.0 + 2e5, open=True) == pytest.approx(np.log(1 + 1000.0**2))
+    assert log(60.0, open=True) == pytest.approx(log(20.0, open=True), abs=0.05)
+    assert log(2e5) == pytest.approx(log(20.0))  # within bounds it may be anywhere

@@ -41,7 +41,7 @@ def test_a_right_fit_passes_on_a_fresh_record(fit):
     fresh = counted("c", 12.0, 3)
     check = ce.validate(fit, fresh)
     assert check.passed
-    assert check.refit.initial["c"]["N"].value == pytest.approx(12.0, rel=0.05)
+    assert check.fit.initial["c"]["N"].value == pytest.approx(12.0, rel=0.05)
     band = ce.simulate(fit, fresh, band=True)["ln"]
     assert band.low[0] < np.log(12.0) < band.high[0]
 
