@@ -138,8 +138,8 @@ def is_foretold(before: Sequence[Residuals], after: Sequence[Residuals], found: 
     if not (noise and moved > 0 and along > 0):
         return False
     size, samples = along / math.sqrt(moved), sum(count for _, count in left.values())
-    chance = samples**found * float(chi2_sf(size**2, 1 + found)) if found else float(normal_sf(size))
-    return chance < _SURE
+    chance = float(chi2_sf(size**2, 1 + found)) if found else float(normal_sf(size))
+    return math.log(max(chance, 1e-300)) + found * math.log(samples) < math.log(_SURE)
 
 
 def signed_rank_sf(ranks: int, count: int) -> float:

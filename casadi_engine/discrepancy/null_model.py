@@ -57,8 +57,8 @@ class RecordNull:
     index : output -> (N,) their numbers in the channel, of ``length[output]`` samples
     cycle : output -> (N,) number of the engine cycle, 0 from theta = 0 on, or of a piece of the record
     slopes : output -> (N, n_theta + n_start) in the free directions of the parameters, then the free initial states
-    starts : the free initial states; begins : state of an effect's own -> where it may well begin, the standard
-        deviation of that, and how far from there it begins here
+    starts : the free initial states; begins : state of an effect's own -> how far from where it may well begin it
+        does begin, and the standard deviation of that
     """
 
     name: str

@@ -375,6 +375,8 @@ def _in_common(search: Search, noises: Sequence[OwnNoise]) -> list[list[int]]:
 
 def _scatter_together(members: Sequence[tuple[OwnNoise, Array]], errors: Array) -> Array | None:
     """J'VJ of coloured outputs of a record, (noise, slopes) each, that may have their colour in common."""
+    if members[0][1].size > _LONG:
+        return None
     valid = np.logical_and.reduce([one.valid for one, _ in members])
     noises = [_with_taken(one, own, errors) * valid[:, None] for one, own in members]
     return common_scatter(noises, valid, [own for _, own in members])
