@@ -37,8 +37,8 @@ class Comparison:
             lines.append(f"{name:{wide}s}  {own:12.2f} {error:7s}  {best - own:10.2f}  {probable}")
         if self.root != 1.0:
             lines.append(
-                "the residual of the model that fits best is coloured or larger than stated: the log likelihood of "
-                f"white noise is divided by {self.root:.3g}, for all models"
+                "the residual of the model that fits best is not the white noise that is counted with: the log "
+                f"likelihood is divided by {self.root:.3g}, for all models"
             )
         return "\n".join(lines)
 

@@ -109,8 +109,8 @@ def _noise(post: Posterior) -> list[str]:
     wide = grown[most] / max(least, 1.0)
     others = f"; those of others may be up to {wide:.2g} times too wide" if wide >= NARROW else ""
     return [
-        "the residual is coloured or larger than stated: the log likelihood of white noise is divided by "
-        f"{post.root:.3g}, so that the interval of {most} is as wide as its error in the fit asks{others}"
+        "the residual is not the white noise that is counted with (see the notes of the fit): the log likelihood is "
+        f"divided by {post.root:.3g}, so that the interval of {most} is as wide as its error in the fit asks{others}"
     ]
 
 
