@@ -43,7 +43,7 @@ def as_repaired(path: Path, problem: Problem) -> Problem:
 def _with_effects(path: Path, problem: Problem, added: Iterable[Mapping[str, Any]]) -> Problem:
     """The problem with stored effects in its model."""
     from casadi_engine.effects import library
-    from casadi_engine.effects.protocol import moves
+    from casadi_engine.effects.protocol import LAW, moves
     from casadi_engine.errors import EffectError
 
     model = problem.model
@@ -51,8 +51,8 @@ def _with_effects(path: Path, problem: Problem, added: Iterable[Mapping[str, Any
         name, at = str(one["name"]), str(one["at"])
         try:
             (effect,) = library(name)
-            if one.get("width") is not None and hasattr(effect, "width"):
-                effect = dataclasses.replace(effect, width=one["width"])  # type: ignore[type-var]
+            own = {key: one[key] for key in LAW if one.get(key) is not None and hasattr(effect, key)}
+            effect = dataclasses.replace(effect, **own)  # type: ignore[type-var]
             known = {key.rpartition(".")[2]: value for key, value in (one.get("constants") or {}).items()}
             if moves(effect):
                 say(

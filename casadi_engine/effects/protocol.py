@@ -342,6 +342,10 @@ class Attachment:
         return f"{self.key}.{self.effect.amplitude.name}"
 
 
+# Numbers of an effect that are part of its law and no parameters: a stored result has them.
+LAW = ("width", "about")
+
+
 def moves(effect: Any) -> bool:
     """True for an event that may happen at another time in another record."""
     grids = effect.nuisance.values()

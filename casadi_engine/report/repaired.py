@@ -8,6 +8,7 @@ from typing import Any
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.input_hold import TAKEN
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, Nearest, Place, Repair, Side, Unknown
+from casadi_engine.effects.protocol import LAW
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.report.result_file import (
     _for_warm_start,
@@ -104,7 +105,7 @@ def _null_fit(result: Repair) -> dict[str, Any]:
 
 def _effect(one: FoundEffect, fit: Fit) -> dict[str, Any]:
     amplitude = next(iter(one.parameters))
-    widths = [getattr(term.effect, "width", None) for term in fit.model.effects if term.key == one.key]
+    terms = [term.effect for term in fit.model.effects if term.key == one.key]
     made = {
         "name": one.name,
         "at": one.at,
@@ -123,8 +124,8 @@ def _effect(one: FoundEffect, fit: Fit) -> dict[str, Any]:
             for member in one.members
         ],
     }
-    if widths and widths[0] is not None:
-        made["width"] = widths[0]  # over which its corners are rounded
+    # over which its corners are rounded, and what is taken off an input that hardly varies
+    made |= {key: own for key in LAW if terms and (own := getattr(terms[0], key, None)) is not None}
     if one.selection_frequency is None:
         made["why"] = {"selection_frequency": "too few cycles to draw halves of them"}
     return made

@@ -7,16 +7,22 @@ import dataclasses
 import importlib
 import io
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import casadi_engine as ce
 from casadi_engine import cli, discrepancy
+from casadi_engine.cli.earlier import _with_effects
 from casadi_engine.discrepancy.input_hold import TAKEN
 from casadi_engine.discrepancy.repaired import UNTOLD, Unknown
+from casadi_engine.effects import InputPath
 from casadi_engine.errors import NotConvergedError
+from casadi_engine.estimation import Estimate
 from casadi_engine.report import load_result
+from casadi_engine.report.repaired import _effect as stored_effect
 
 PROBLEM = '''"""Inertia and damping from a torque that goes back and forth."""
 import casadi_engine as ce
@@ -327,3 +333,31 @@ def test_the_help_names_every_option(capsys):
     for option in ("--alpha", "--holdout", "--check", "--data", "--validate", "--set", "--free", "--fix", "--out",
                    "--seed", "--jobs", "--debug"):  # fmt: skip
         assert option in told
+
+
+@dataclasses.dataclass(frozen=True)
+class _Problem:
+    model: object
+    parameters: object
+
+
+def test_a_stored_repair_has_what_is_taken_off_an_input():
+    """Else `validate --from` lets the whole of an air pressure act, where its variation does."""
+    b = ce.Blueprint("room")
+    b.input("p", unit="Pa")
+    x = b.state("x", unit="K")
+    slot = b.port("air", "inertia", {"speed": x}, unit="W")
+    b.ode("x", (slot - 5.0 * x) / 100.0)
+    b.output("y", x, unit="K")
+    model = b.model()
+    wider = model.with_effect(InputPath(about=101300.0), at="p_to_air", values={"gain": 2.0})
+    one = SimpleNamespace(
+        key="p_to_air.input_path", name="input_path", at="p_to_air", sentence="", constants={}, z=9.0, p_value=0.0,
+        drop=9.0, share_explained=1.0, predicted_shift={}, found_shift={}, selection_frequency=1.0, members=(),
+        parameters={"p_to_air.input_path.gain": Estimate(2.0, 0.1, "W/Pa")},
+    )  # fmt: skip
+    stored = stored_effect(one, SimpleNamespace(model=wider))
+    assert stored["about"] == 101300.0
+    again = _with_effects(Path("r"), _Problem(model, model.parameters()), [stored])
+    (effect,) = [own.effect for own in again.model.effects]
+    assert effect.about == 101300.0
