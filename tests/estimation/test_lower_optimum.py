@@ -13,7 +13,8 @@ PLACE = Place({"a": 1.0}, {"r": {"x": 0.0}}, {"y": (0.1, False)})
 def fit(cost, *, lower=None, converged=True, sigma=0.1, estimated=False):
     trace = SimpleNamespace(mask=np.ones(50, dtype=bool))
     return SimpleNamespace(
-        cost=cost, lower=lower, converged=converged, noise={"y": (sigma, estimated)}, traces={"r": {"y": trace}}
+        innovations=None, cost=cost, lower=lower, converged=converged,
+        noise={"y": (sigma, estimated)}, traces={"r": {"y": trace}}
     )  # fmt: skip
 
 
