@@ -93,9 +93,8 @@ def judged(
             interval = _through_ties(search, errors, name, slopes[name], ends)
             estimates[name] = _without_error(estimates[name], doubt, interval)
     felt = [doubt for doubt in about.values() if doubt is not None]
-    even = bool(alike) and alike == set(
-        ends
-    )  # states go along with parameters whose intervals are not symmetric
+    # states go along with parameters whose intervals are not symmetric
+    even = bool(alike) and alike == set(ends)
     felt += _states_judged(search, white, errors, doubts, of_states, initial, but_shape=even)
     own = [doubt for doubt in doubts if any(doubt is one for one in felt)]
     said = words_of(own, [name for name in free if about[name] is not None and name not in ends])

@@ -256,14 +256,7 @@ def with_own_noise(
     for _ in range(_ROUNDS):
         before, more, few = matrix, fixed.copy(), math.inf
         uneven, even = np.zeros_like(white), np.zeros_like(white)
-        joint = set[int]()
-        for members in _in_common(search, noises):
-            at = places[members[0]]
-            both = [(noises[k], slopes[k]) for k in members]
-            scatter = _scatter_together(both, matrix[np.ix_(at, at)])
-            if scatter is not None:
-                more[np.ix_(at, at)] += _beyond(scatter, sum((own.T @ own for _, own in both), 0.0 * scatter))
-                joint |= set(members)
+        joint = _add_common(more, _in_common(search, noises), noises, slopes, places, matrix)
         for k, (one, own, at) in enumerate(zip(noises, slopes, places, strict=True)):
             scatter, samples = _scatter(one, own, matrix[np.ix_(at, at)])
             few = min(few, samples)
@@ -371,6 +364,26 @@ def _in_common(search: Search, noises: Sequence[OwnNoise]) -> list[list[int]]:
             time = search.records[one.at].experiment[one.output].time
             found.setdefault((one.at, time.tobytes()), []).append(k)
     return [own for own in found.values() if len(own) > 1]
+
+
+def _add_common(
+    more: Array,
+    groups: Sequence[Sequence[int]],
+    noises: Sequence[OwnNoise],
+    slopes: Sequence[Array],
+    places: Sequence[NDArray[np.intp]],
+    matrix: Array,
+) -> set[int]:
+    """Add to ``more`` what outputs with a colour in common scatter beyond white noise; which outputs these are."""
+    found = set[int]()
+    for members in groups:
+        at = places[members[0]]
+        both = [(noises[k], slopes[k]) for k in members]
+        scatter = _scatter_together(both, matrix[np.ix_(at, at)])
+        if scatter is not None:
+            more[np.ix_(at, at)] += _beyond(scatter, sum((own.T @ own for _, own in both), 0.0 * scatter))
+            found |= set(members)
+    return found
 
 
 def _scatter_together(members: Sequence[tuple[OwnNoise, Array]], errors: Array) -> Array | None:

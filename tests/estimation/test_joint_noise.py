@@ -1,8 +1,11 @@
 """Colour that outputs have in common: against the exact covariance of a vector autoregression."""
 
 import numpy as np
+import pytest
 from scipy.linalg import solve_discrete_lyapunov
+from scipy.signal import lfilter
 
+import casadi_engine as ce
 from casadi_engine.estimation.joint_noise import common_scatter, vector_autoregression
 
 TURN = np.array([[0.8, 0.15], [-0.2, 0.7]])
@@ -73,3 +76,25 @@ def test_a_memory_longer_than_the_record_is_cut():
     found = common_scatter([one[:, None] for one in noise], np.ones(300, dtype=bool), [np.ones((300, 1))] * 2)
     assert np.isfinite(found).all()
     assert found[0, 0] >= 0
+
+
+def test_two_sensors_that_one_thing_moves_are_worth_no_more_than_one():
+    """A drift that both see: where their colour is one, its error is that by one of them, root 2 times as large."""
+    b = ce.Blueprint("drift")
+    g, x = b.parameter("g", 0.1, unit="m/s", min=-5, max=5), b.state("x", unit="m")
+    b.ode("x", g)
+    b.output("y1", x, unit="m")
+    b.output("y2", x, unit="m")
+    model, time, units = b.model(), 0.1 * np.arange(600), {"y1": "m", "y2": "m"}
+    ratios = []
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        e = lfilter([0.6], [1, -0.8], random.standard_normal((2, 600)), axis=1)
+        own = 0.1 * random.standard_normal((2, 600))
+        errors = []
+        for second in (e[0], e[1]):
+            y1, y2 = 0.3 * time + e[0] + own[0], 0.3 * time + second + own[1]
+            data = ce.Experiment.from_arrays("r", time=time, units=units, y1=y1, y2=y2)
+            errors.append(ce.estimate(model, data, progress=False).stderr["g"])
+        ratios.append(errors[0] / errors[1])
+    assert np.mean(ratios) == pytest.approx(np.sqrt(2), rel=0.1)
