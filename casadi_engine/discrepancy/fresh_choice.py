@@ -136,14 +136,7 @@ class FreshChoice:
                 break
             if before is None or len(stations) == 1:
                 return self._kept(stations, first, before)
-            said, whole, stations = len(self.messages), stations, self._each_confirmed(stations)
-            if (
-                len(stations) < len(whole)
-                and key == search.best
-                and (rival := self._whole_rival()) is not None
-            ):
-                search.best = rival
-                stations = search.way(rival) or stations
+            said, stations = len(self.messages), self._of_confirmed_parts(key, stations)
             judged, after = self._of_structure(stations, before)
             if after is None:
                 blind = stations if blind is None else blind
@@ -171,10 +164,25 @@ class FreshChoice:
             _, stations, judged, after = open_one
             self.messages += [judged.why] if judged.why else []
             return self._kept(stations, first or stations, before, judged, after)
-        if blind is not None:
-            self.messages += [] if self._costly else [NO_RUN]
-            return self._kept(blind, first or blind, before, Judgement(None, None, False, NO_RUN))
-        return self._kept([null], first or [null], before)
+        return self._without_verdict(blind, first, before)
+
+    def _without_verdict(
+        self, blind: list[Station] | None, first: list[Station] | None, before: Pairs | None
+    ) -> Confirmation:
+        """What is kept where fresh data confirm nothing: the structure of which they can say nothing, if any."""
+        if blind is None:
+            null = [self.search.null]
+            return self._kept(null, first or null, before)
+        self.messages += [] if self._costly else [NO_RUN]
+        return self._kept(blind, first or blind, before, Judgement(None, None, False, NO_RUN))
+
+    def _of_confirmed_parts(self, key: Key, stations: list[Station]) -> list[Station]:
+        """A structure less the effects that fresh data do not confirm, or in its place a rival that is whole."""
+        parts, search = self._each_confirmed(stations), self.search
+        if len(parts) == len(stations) or key != search.best or (rival := self._whole_rival()) is None:
+            return parts
+        search.best = rival
+        return search.way(rival) or parts
 
     def _weighed(self, before: Pairs | None) -> None:
         """Let fresh data say which structure comes first."""

@@ -179,7 +179,7 @@ def is_told(linear: float, named: float, without: float) -> bool:
     return linear - named >= _TOLD * (without - named)
 
 
-def beside_it(bare: NullModel, columns: dict[str, dict[str, Array]]) -> NullModel:
+def beside_it(bare: NullModel, columns: Columns) -> NullModel:
     """The model with the terms of a function as further parameters."""
     terms = next(iter(next(iter(columns.values())).values())).shape[1]
     names = tuple(f"{LAW} {k}" for k in range(terms))

@@ -27,7 +27,7 @@ from casadi_engine.discrepancy.kept_near import KEPT_NEAR, is_far_off, kept_near
 from casadi_engine.discrepancy.law_refit import follows_by_function
 from casadi_engine.discrepancy.lost_beginning import with_lost_beginning
 from casadi_engine.discrepancy.lost_fit import explained, found_again
-from casadi_engine.discrepancy.lower_rate import at_lower_rate
+from casadi_engine.discrepancy.lower_rate import LowerRate, at_lower_rate
 from casadi_engine.discrepancy.misread import Misread, misread, with_hint, with_other_reading
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
@@ -334,43 +334,58 @@ class _Job:
         creeps = ONE_STEP in null_fit.status  # along a valley, as a model that lacks something may
         if not (null_fit.converged or creeps or search.best or follows_by_function(search.refits)):
             return self._no_answer(null_fit, alpha)
-        told = [*remarks(search.chosen.fit, scatter), *self.cut]
-        widths = ", ".join(f"{one.width} = {pars[one.width].value:.2g}" for one in self.model.corners)
-        told += [_JUMPED.format(widths)] if widths else []
-        told += [words for words in null_fit.messages if words.startswith(ROUNDED)]
-        told += search.refits.doubt(search.chosen.effects)
-        told += [KEPT_NEAR] if self.kept else []
-        if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
-            told.append(
-                f"the fit without effects has {null_fit.status}; effects were looked for from where it ended"
-            )
-        fresh.messages[:0] = told
+        fresh.messages[:0] = self._told_first(search, null_fit, pars, scatter)
         answer = Answer(fresh, alpha, self.asked, self.timing, self.begun, self.tell)
         with self.deadline.spared(math.inf):  # what it can do without asks the time itself
             made = answer.made()
-        if lower is not None:
-            self.tell("fits of the whole data")
-            clock = time.perf_counter()
-            try:
-                with self.deadline.spared(1.0):
-                    made = lower.told(made)
-            except TimeUp:
-                made = replace(made, messages=(*made.messages, _LOWER))
-                search.failed["the whole data"] = TIME_UP
-            self.timing["whole data"] = time.perf_counter() - clock
-        else:
-            with self.deadline.spared(1.0):
-                made = with_checked_errors(made, self.noise, options, in_places=refitter.in_places)
+        made = self._of_all_data(made, search, lower)
         with self.deadline.spared(1.0), suppress(TimeUp, *FAILURES):
             made = with_intervals_of_times(made, search.refits)
         self.timing["total"] = time.perf_counter() - self.begun
         if (why := self._unresolved(made)) is not None:
             return self._no_answer(null_fit, alpha, why, UNRESOLVED)
+        return self._looked_over(made, search, work)
+
+    def _told_first(self, search: Choice, null_fit: Fit, pars: Parameters, scatter: Any) -> list[str]:
+        """What is said before all else: of the data, the corners, and the fit without effects."""
+        chosen, refits = search.chosen, search.refits
+        told = [*remarks(chosen.fit, scatter), *self.cut]
+        widths = ", ".join(f"{one.width} = {pars[one.width].value:.2g}" for one in self.model.corners)
+        told += [_JUMPED.format(widths)] if widths else []
+        told += [words for words in null_fit.messages if words.startswith(ROUNDED)]
+        told += refits.doubt(chosen.effects)
+        told += [KEPT_NEAR] if self.kept else []
+        if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
+            told.append(
+                f"the fit without effects has {null_fit.status}; effects were looked for from where it ended"
+            )
+        return told
+
+    def _of_all_data(self, made: Repair, search: Choice, lower: LowerRate | None) -> Repair:
+        """The answer with fits of the whole data, where a lower rate was searched, and errors that were checked."""
+        if lower is None:
+            in_places = search.refits.refitter.in_places
+            with self.deadline.spared(1.0):
+                return with_checked_errors(made, self.noise, self.options, in_places=in_places)
+        self.tell("fits of the whole data")
+        clock = time.perf_counter()
+        try:
+            with self.deadline.spared(1.0):
+                made = lower.told(made)
+        except TimeUp:
+            made = replace(made, messages=(*made.messages, _LOWER))
+            search.failed["the whole data"] = TIME_UP
+        self.timing["whole data"] = time.perf_counter() - clock
+        return made
+
+    def _looked_over(self, made: Repair, search: Choice, work: float) -> Repair:
+        """The answer with all that is said beside it: what was not searched, what else would read the data alike."""
+        refits, options = search.refits, self.options
         left = _not_searched(search, made)
-        felt = search.refits.rounding_felt(search.chosen.effects)
+        felt = refits.rounding_felt(search.chosen.effects)
         with self.deadline.spared(1.0), suppress(TimeUp):
             made = told_as_one_law(made)
-        made = with_errors_of_rounding(made, felt, search.refits.path.moved, ended=bool(left))
+        made = with_errors_of_rounding(made, felt, refits.path.moved, ended=bool(left))
         made = with_hint(replace(made, stopped=self._by if left else "", not_searched=left), self.misread)
         with self.deadline.spared(1.0), suppress(TimeUp), Deadline(work=_AGAIN * work):
             made = with_wider_bounds(made, self.parameters, self.noise, options)
@@ -378,7 +393,7 @@ class _Job:
         with self.deadline.spared(1.0), suppress(TimeUp):
             made = with_other_reading(made, self.parameters, self.noise, options, work)
         found = frozenset((one.name, one.at) for one in made.effects)
-        return with_lost_beginning(held_to_sizes(made), search.refits.pool.get(found))
+        return with_lost_beginning(held_to_sizes(made), refits.pool.get(found))
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:
         """The fit without effects, the parameters that later fits start from, and the work of a start."""

@@ -168,20 +168,11 @@ def unknown_law(
     linear = evidence(bare_digest(bare, priors, others, random), refits.levels).cost
     if effects and not is_told(linear, named.cost, none):
         return None
-    columns: dict[str, dict[str, dict[str, Array]]] = {}
-    found: list[Rival] = []
     # a function of an input that acts by these effects alone has them as its special case, and is no rival
     idle = {f"input_{name}" for name in refits.refitter.model.idle_inputs} if effects else set()
-    for k, (candidates, families, among) in enumerate(_offered(null, bare, refits.levels, everywhere)):
-        every = family_columns(null, candidates)
-        for family in (one for one in families if one.port not in idle):
-            columns[family.name] = _members(every, family)
-            beside = beside_it(bare, columns[family.name])
-            made = counted_with(beside, priors, family, others, random)
-            if made is not None:
-                rival = _rival(beside, made, family, refits.levels)
-                rival.log -= math.log(among) + named.log
-                found.append(replace(rival, price=math.log(among), far=k > 0))
+    found, columns = _functions(null, bare, refits.levels, everywhere, idle, (priors, others, random))
+    for one in found:
+        one.log -= named.log
     if not found:
         return None
     if refits.levels.memory and random is None:
@@ -212,6 +203,35 @@ def unknown_law(
         others=_first_of(found),
         rivals=not_told_from(best.family, [(one.family, one.log) for one in found]),
     )
+
+
+def _functions(
+    null: NullModel,
+    bare: NullModel,
+    levels: Levels,
+    everywhere: bool,
+    idle: set[str],
+    counts: tuple[dict[str, Prior], frozenset[str], Columns | None],
+) -> tuple[list[Rival], dict[str, Columns]]:
+    """Every function in the place of the effects, none at a port of ``idle``, its log probability with what choosing it
+    costs; and the members of each.
+
+    counts : priors, parameters that are held, and what else of the model is random
+    """
+    priors, others, random = counts
+    columns: dict[str, Columns] = {}
+    found: list[Rival] = []
+    for k, (candidates, families, among) in enumerate(_offered(null, bare, levels, everywhere)):
+        every = family_columns(null, candidates)
+        for family in (one for one in families if one.port not in idle):
+            columns[family.name] = _members(every, family)
+            beside = beside_it(bare, columns[family.name])
+            made = counted_with(beside, priors, family, others, random)
+            if made is not None:
+                rival = _rival(beside, made, family, levels)
+                rival.log -= math.log(among)
+                found.append(replace(rival, price=math.log(among), far=k > 0))
+    return found, columns
 
 
 def not_told_from(best: Family, found: Sequence[tuple[Family, float]]) -> tuple[Family, ...]:

@@ -63,7 +63,8 @@ class InputPath(Effect):
     or the sun on a wall that the model has not.
 
     It acts at a path, ``u_to_a`` from the input u to the port a. Looked at are inputs of the unit of what acts there,
-    and those that no equation uses: who records one expects that it matters. Of an input that hardly varies about its
+    those that act so at another port, as the sun by an area on the air, and those that no equation uses: who records
+    one expects that it matters. Of an input that hardly varies about its
     mean, as an air pressure or a room's temperature in K, it is the variation: gain (u − mean).
 
     about : what is taken off the input, in its unit; None for the mean of such a one, 0 of any other

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.errors import EstimationError
-from casadi_engine.estimation.answer import _coarse
+from casadi_engine.estimation.answer_notes import of_the_integration
 from casadi_engine.estimation.ipopt import Solver
 from casadi_engine.estimation.standard_errors import _acts
 
@@ -368,7 +368,7 @@ def test_the_initial_state_of_a_fit_is_taken_as_it_is():
 @pytest.mark.parametrize(("shift", "told"), [(0.05, False), (0.25, True), (float("inf"), True)])
 def test_a_coarse_integration_is_told_by_what_it_does_to_the_estimates(shift, told):
     found = SimpleNamespace(shift=shift, substeps=64)
-    messages = _coarse({"run": found})
+    messages = of_the_integration({"run": found})
     assert len(messages) == told
     for message in messages:
         assert message == (
