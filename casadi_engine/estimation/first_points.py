@@ -15,7 +15,7 @@ from casadi_engine.estimation.laid_problem import LaidProblem
 from casadi_engine.estimation.pieces import REACH, SCREENED, approach
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.rounded_start import rounded_refit
-from casadi_engine.estimation.slopes import check_slopes
+from casadi_engine.estimation.slopes import check_slopes, has_slopes
 from casadi_engine.estimation.starts import (
     chained_nodes,
     drawn_starts,
@@ -148,6 +148,12 @@ class FirstPoints(LaidProblem):
                 cure="change the start values or the bounds",
             )
         check_growth(self.records, self.problem.at(x).records)
+        if has_slopes(self.problem.at(x)):
+            return x
+        # nodes near noisy samples may lie where a power has a value and no slope; those of one run need not
+        run = self._chained_if_any(x)
+        if run is not None and np.isfinite(self._objective(run)) and has_slopes(self.problem.at(run)):
+            return run
         check_slopes(self.records, self.problem.at(x))
         return x
 
@@ -158,6 +164,12 @@ class FirstPoints(LaidProblem):
             nodes = joined_nodes(record, x[:nv], lay.take(x))
             found[lay.at : lay.at + nodes.size] = nodes.ravel()
         return found
+
+    def _chained_if_any(self, x: Array) -> Array | None:
+        try:
+            return self._chained(x)
+        except FloatingPointError:
+            return None
 
     def drawn(self, count: int, seed: int) -> list[Array]:
         """Starts of z, the set's own and others around it."""

@@ -15,10 +15,10 @@ from casadi_engine.model import Model
 
 def check_slopes(records: Sequence[RecordTerm], point: Point) -> None:
     """Raise EstimationError where the residuals have no finite slopes: no search can leave such a point."""
+    if has_slopes(point):
+        return
     parts = zip(records, point.records, strict=True)
     bad = [record.experiment.name for record, part in parts if not _sloped(part)]
-    if not bad and np.isfinite(point.gradient).all():
-        return
     names = sorted({name for record in records for name in _kinks(record.model)})
     raise EstimationError(
         "the equations have values but no finite slopes at the start values",
@@ -27,6 +27,11 @@ def check_slopes(records: Sequence[RecordTerm], point: Point) -> None:
         cure="start away from there (initial=, or a start value), or make the equations smooth there: "
         "sqrt(h) has no slope at 0, sqrt(h + 1e-6) has",
     )
+
+
+def has_slopes(point: Point) -> bool:
+    """True where residuals and priors have finite slopes."""
+    return bool(np.isfinite(point.gradient).all()) and all(_sloped(part) for part in point.records)
 
 
 def _sloped(found: RecordPoint) -> bool:

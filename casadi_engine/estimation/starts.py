@@ -153,7 +153,7 @@ def fitted_nodes(record: RecordTerm, v: Array, nodes: Array) -> Array:
             damping = _HINDER * damping
             continue
         better = there[0] < cost
-        fall = float((cost - there[0])[better].sum())
+        fall = float((cost[better] - there[0][better]).sum())
         at = np.where(better[:, None], trial, at)
         slope = np.where(better[:, None], there[1], slope)
         matrix = np.where(better[:, None, None], there[2], matrix)
@@ -165,14 +165,20 @@ def fitted_nodes(record: RecordTerm, v: Array, nodes: Array) -> Array:
 
 
 def _of_intervals(record: RecordTerm, v: Array, nodes: Array) -> tuple[Array, Array, Array] | None:
-    """Each interval's own summed squares (M,), their slope (M, n) and Gauss-Newton matrix (M, n, n) in its start."""
+    """Each interval's own summed squares (M,), their slope (M, n) and Gauss-Newton matrix (M, n, n) in its start.
+
+    The squares are infinite where there is no slope by a parameter, as of y**n by n at a y below 0, from where no
+    search could go on.
+    """
     try:
         point = record.evaluate(v, nodes)
     except (FloatingPointError, np.linalg.LinAlgError):
         return None
     cost, slope = np.square(point.r).sum(axis=0), record.gradient(point, Loss())[1]
-    matrix = record.gauss_newton(point).ss
-    return (cost, slope, matrix) if np.isfinite(cost).all() and np.isfinite(matrix).all() else None
+    blocks = record.gauss_newton(point)
+    if not (np.isfinite(cost).all() and np.isfinite(blocks.ss).all()):
+        return None
+    return np.where(np.isfinite(blocks.zs).all(axis=(0, 1)), cost, np.inf), slope, blocks.ss
 
 
 def nodes_by_first(point: RecordPoint) -> Array:

@@ -174,3 +174,42 @@ def test_a_search_before_a_wall_ends(monkeypatch):
     found = search.solver.solve(start, search.lower, search.upper)
     assert found.status.startswith("not converged")
     assert len(tried) < 500
+
+
+def toggle():
+    """Two repressors, whose share of the other's rate has a free power."""
+    b = ce.Blueprint("toggle", time_unit="min")
+    rates = [b.parameter(name, 5.0, unit="1/min", min=0.1, max=100) for name in ("a1", "a2")]
+    power = b.parameter("hill", 2.0, unit="1", min=1, max=6)
+    decay = b.parameter("d", 0.2, unit="1/min", min=0.01, max=5)
+    x, y = b.state("x", unit="1"), b.state("y", unit="1")
+    helps = b.input("iptg", unit="1")
+    b.ode("x", rates[0] / (1 + (y / 10) ** power) - decay * x)
+    b.ode("y", rates[1] / (1 + (x / (10 * (1 + helps))) ** power) - decay * y)
+    b.output("gfp", x, unit="1")
+    b.output("rfp", y, unit="1")
+    return b.model()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_a_start_near_samples_below_zero_has_slopes_by_a_power(seed):
+    # y**2 has a value at y < 0, and its slope by the power has none
+    t = np.arange(0, 200, 2.0)
+    pushed = np.where((t > 60) & (t < 120), 4.0, 0.0)
+
+    def rate(now, z):
+        u, z = (4.0 if 61 < now < 121 else 0.0), np.maximum(z, 0)
+        return [
+            3 / (1 + (z[1] / 10) ** 2.5) - 0.1 * z[0],
+            2.4 / (1 + (z[0] / (10 + 10 * u)) ** 2.5) - 0.1 * z[1],
+        ]
+
+    z = solve_ivp(rate, t[[0, -1]], [20, 2], t_eval=t, rtol=1e-9, atol=1e-9, max_step=1.0).y
+    seen = z + 1.0 * np.random.default_rng(seed).standard_normal(z.shape)
+    assert seen.min() < 0
+    units = {"iptg": "1", "gfp": "1", "rfp": "1"}
+    data = ce.Experiment.from_arrays(
+        "plate", time=60 * t, units=units, hold={"iptg": "zero"}, iptg=pushed, gfp=seen[0], rfp=seen[1]
+    )
+    fit = ce.estimate(toggle(), data, progress=False)
+    arrived(fit, {"a1": 3.0, "a2": 2.4, "hill": 2.5, "d": 0.1})
