@@ -63,7 +63,8 @@ def judged(
         if check is None
         else doubts_of(search, best, white, optima, residuals, wider=errors, seconds=limit)
     )
-    told = (*(() if unchecked is None else (unchecked,)), *_few(search, white))
+    few = _few(search, white)
+    told = (*(() if unchecked is None else (unchecked,)), *few)
     if not doubts or check is None:
         return Judged(_bent_ties(search, errors, estimates), initial, told)
     matrix, slopes = white.covariance.matrix, errors.slopes()
@@ -101,6 +102,8 @@ def judged(
     alone = sum(one.starts for one in optima) < _SEVERAL and not all(one.linear for one in search.records)
     if said and ends and alone and any(one.profiles and one.size > FLAT for one in own):
         said[-1] += "; the intervals are of the one optimum that was found: starts=10 looks for others"
+    if not any(one.stderr for one in estimates.values()):  # none is left that could be of the curvature
+        told = few
     return Judged(_bent_ties(search, errors, estimates), initial, (*said, *told), below)
 
 

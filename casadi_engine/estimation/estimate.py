@@ -191,22 +191,22 @@ def estimate(
         if late():
             raise
         raise KeyboardInterrupt from None  # there is no point yet
-    fit = _as_asked(fit, _own(model, parameters) if warm is None else None)
+    fit = _as_asked(fit, _own(model, parameters) if warm is None else None, time.perf_counter() - begun)
     fit = replace(fit, messages=(*idle, *fit.messages))
     if asked.stopped and fit.status != "interrupted":
         return replace(fit, status="interrupted", messages=(_ENDED, *fit.messages))
     return fit
 
 
-def _as_asked(fit: Fit, begun: Parameters | None) -> Fit:
+def _as_asked(fit: Fit, begun: Parameters | None, total: float) -> Fit:
     """The fit with the values that were given as its start, not those of the last search of several, and with what
-    these took together. begun : the set that was given, None where another fit was the start"""
+    these took together. begun : the set that was given, None where another fit was the start; total : seconds"""
     start = dict(fit.start)
     for name in start:
         bare, _, record = name.partition("@")
         if begun is not None and bare in begun:
             start[name] = begun[bare].in_record(record)[0] if record else begun[bare].value
-    timing, total = dict(fit.timing), fit.timing.get("total", 0.0)
+    timing = fit.timing | {"total": total}
     others = total - sum(value for name, value in timing.items() if name != "total")
     if others > _OTHERS * total:
         timing = {OTHER_SEARCHES: others, **timing}
