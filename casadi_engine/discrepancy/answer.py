@@ -307,6 +307,8 @@ class Answer:
         if not found and law is not None and ahead(self.search) > law.log:
             return claim  # what was refitted says more than what a function does along the motion without it
         if rival is None or law is None:
+            if unknown is not None and unknown.port and (looked or asked) and self._was_cut("unknown law"):
+                claim = replace(claim, unknown=replace(unknown, sentence=as_untried(unknown.sentence)))
             return claim.withdrawn_for(claim.unknown, null, BEHIND_LAW) if told and law is None else claim
         if not found and unknown is None and law.log < -math.log(self._rare):  # by their odds alone
             return claim

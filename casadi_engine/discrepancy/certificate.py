@@ -302,7 +302,8 @@ def in_place_of(last: Station, law: UnknownLaw, *, far: bool = False) -> Unknown
 def as_untried(sentence: str) -> str:
     """What is said of a law, where the time was up before it was tried in the equations."""
     far = f": {FAR_OFF}"
-    return f"{sentence.removesuffix(far)}, {'and' if sentence.endswith(far) else 'but'} {UNTRIED}"
+    law, then, others = sentence.partition("; ")
+    return f"{law.removesuffix(far)}, {'and' if law.endswith(far) else 'but'} {UNTRIED}{then}{others}"
 
 
 def law_words(model: Model, family: Family) -> str:

@@ -159,7 +159,7 @@ def _law_alone(repair: Repair) -> str:
     unknown = repair.unknown
     if unknown is None or unknown.course is None or unknown.odds is None or unknown.odds < FACTOR:
         return ""
-    doubt = next((f", but {one}" for one in (UNTRIED, FAR_OFF) if unknown.sentence.endswith(one)), "")
+    doubt = next((f", but {one}" for one in (UNTRIED, FAR_OFF) if one in unknown.sentence), "")
     return f": {re.split(_ODDS, unknown.sentence)[0]}{doubt}"
 
 

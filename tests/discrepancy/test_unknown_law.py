@@ -196,6 +196,7 @@ def test_a_law_along_a_simulation_that_is_far_off_has_no_certain_place(far):
     said = ": an unknown torque at engine that depends on its speed"
     assert _law_alone(found) == said + (", but where it acts is not certain" if far else "")
     untried = replace(unknown, sentence=as_untried(unknown.sentence))
+    assert as_untried("a law; an effect is near") == f"a law, but {UNTRIED}; an effect is near"
     assert untried.sentence.count("where it acts is not certain") == 1
     assert _law_alone(SimpleNamespace(unknown=untried)) == f"{said}, but {UNTRIED}"
 
