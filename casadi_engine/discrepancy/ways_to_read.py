@@ -10,7 +10,7 @@ import numpy as np
 
 from casadi_engine.discrepancy.exchanged_units import exchanges
 from casadi_engine.experiment import Channel, Experiment
-from casadi_engine.experiment.units import NOT_STATED, read_unit
+from casadi_engine.experiment.units import NOT_STATED, converted, read_unit
 from casadi_engine.model import Model
 from casadi_engine.model.declarations import Variable
 
@@ -55,10 +55,7 @@ class Reading:
             if any(name not in record for name in self.names):
                 return record
             one, other = (record[name] for name in self.names)
-            both = _as(one, other), _as(other, one)
-            if self.what == "numbers":  # each keeps the unit that it is said to have
-                both = replace(both[0], unit=one.unit), replace(both[1], unit=other.unit)
-            return record.with_channel(both[0]).with_channel(both[1])
+            return record.with_channel(_as(one, other)).with_channel(_as(other, one))
         for name in self.names:
             if name in record:
                 own = record[name]
@@ -70,9 +67,12 @@ class Reading:
 
 
 def _as(one: Channel, other: Channel) -> Channel:
-    return replace(
-        one, unit=other.unit, time=other.time, values=other.values, mask=other.mask, rows=other.rows
-    )
+    """A channel with the numbers that were recorded for another one, in the unit that it is said to have."""
+    values = other.values
+    if one.recorded != other.recorded:
+        values = converted(values, other.unit, other.recorded) if other.recorded else values
+        values = converted(values, one.recorded, one.unit) if one.recorded else values
+    return replace(one, time=other.time, values=values, mask=other.mask, rows=other.rows)
 
 
 def readings(model: Model, data: Sequence[Experiment], *, every: bool = False) -> list[Reading]:

@@ -206,7 +206,7 @@ def _as_asked(fit: Fit, begun: Parameters | None, total: float) -> Fit:
         bare, _, record = name.partition("@")
         if begun is not None and bare in begun:
             start[name] = begun[bare].in_record(record)[0] if record else begun[bare].value
-    timing = fit.timing | {"total": total}
+    timing = {**fit.timing, "total": total}
     others = total - sum(value for name, value in timing.items() if name != "total")
     if others > _OTHERS * total:
         timing = {OTHER_SEARCHES: others, **timing}

@@ -145,6 +145,7 @@ def _channel(
     return Channel(
         name=name,
         unit=unit,
+        recorded="" if unit == units[name] else units[name],
         time=time,
         values=values,
         hold=_word(hold, name, "hold", "first"),

@@ -129,6 +129,7 @@ class Channel:
     origin : "measured", "assumed" or "derived".
     rows : (N,) row of each sample in the source file (the header is row 1); empty when not from a file.
     bridge : what it does where rows are missing, "hold" or "join"; empty if that was not said (`Experiment.bridged`).
+    recorded : the unit in which the numbers stood that were read, empty if they were given in ``unit``.
 
     The arrays are copies and read-only. Raises :class:`ExperimentError` or :class:`UnitError` by name.
 
@@ -148,6 +149,7 @@ class Channel:
     origin: str = "measured"
     rows: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64), repr=False)
     bridge: str = field(default="", repr=False)
+    recorded: str = field(default="", repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_channel_name(self.name)

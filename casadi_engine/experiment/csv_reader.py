@@ -210,6 +210,7 @@ def _channel(
     return Channel(
         name=column.name,
         unit=unit,
+        recorded="" if column.unit in (None, unit) else str(column.unit),
         time=time,
         values=data,
         hold=request.hold,

@@ -214,6 +214,7 @@ def _channel(arrays: _Archive, request: Request, name: str, time_key: str, key: 
         return Channel(
             name=name,
             unit=si,
+            recorded="" if unit == si else unit,
             time=time,
             values=values,
             hold=request.hold,

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import casadi_engine as ce
 from casadi_engine.discrepancy import misread as module
 from casadi_engine.discrepancy.misread import Misread, followed, misread, readings, unexplained, with_hint
+from casadi_engine.discrepancy.ways_to_read import Reading
 from casadi_engine.discrepancy.wording import HINT
 
 STEP, COUNT = 0.02, 700
@@ -367,6 +368,22 @@ def test_numbers_under_each_others_headings_are_told_where_units_differ():
     assert (other["F"].unit, other["pos"].unit) == ("N", "m")
     np.testing.assert_array_equal(other["F"].values, record["pos"].values)
     assert not [one for one in readings(cart(), (record,)) if one.what == "numbers"]
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mm", 1e3), ("degC", 1.0)])
+def test_numbers_under_each_others_headings_are_exchanged_as_they_were_recorded(unit, factor):
+    """A column of degrees under the heading of a torque: its numbers are degrees, whatever unit was read."""
+    made = run()
+    right = ce.Experiment.from_arrays(
+        "right", units={"time": "s", "F": "N", "pos": unit}, time=made["time"], F=made["F"], pos=factor * made["pos"]
+    )
+    wrong = ce.Experiment.from_arrays(
+        "wrong", units={"time": "s", "F": "N", "pos": unit}, time=made["time"], F=factor * made["pos"], pos=made["F"]
+    )
+    back = Reading("numbers", ("F", "pos"), "", "").of(wrong)
+    assert (back["F"].unit, back["pos"].unit) == (right["F"].unit, right["pos"].unit)
+    np.testing.assert_allclose(back["F"].values, right["F"].values, rtol=1e-12)
+    np.testing.assert_allclose(back["pos"].values, right["pos"].values, rtol=1e-12, atol=1e-12)
 
 
 def test_all_ways_are_fitted_where_nothing_else_would_tell_them():
