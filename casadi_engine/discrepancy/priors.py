@@ -1,8 +1,9 @@
 """What is known of a model's free numbers before the data: weak and physical, in the scales of the records.
 
 An amplitude is scaled by what it does: at one prior standard deviation it moves an output by the output's own
-variation (an error of a sensor by a twentieth of it; a stated number that may be wrong, by a tenth of itself; a channel
-that lags or is late is so with all of it, but for a tenth). That holds in any units and any way of writing the model.
+variation (an error of a sensor by a twentieth of it, one of what an input is recorded as by a fifth; a stated number
+that may be wrong, by a tenth of itself; a channel that lags or is late is so with all of it, but for a tenth). That
+holds in any units and any way of writing the model.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.parameters import Parameters
 
-# Share of an output's variation that a physical effect, and that an error of a sensor, may well make; share of itself
-# by which a stated number may well be wrong.
-PHYSICAL, SENSOR, STATED = 1.0, 0.05, 0.1
+# Share of an output's variation that a physical effect, an error of a sensor, and one of a recorded input may well
+# make; share of itself by which a stated number may well be wrong.
+PHYSICAL, SENSOR, RECORDED, STATED = 1.0, 0.05, 0.2, 0.1
 # A channel that is behind is so with all of it, but for this share; with any part of it where that stands for a shorter
 # time.
 WHOLE, SHORTER = 0.1, 0.5
@@ -63,7 +64,7 @@ def _amplitude(null: NullModel, k: int, one: Addition) -> float:
     if kind in ("sensor", "input") and one.bounds.name == "gain" and value > WRONG:
         # no calibration, but units that were exchanged or edges counted twice, at either end alike
         return value
-    share = SENSOR if kind == "sensor" else PHYSICAL
+    share = {"sensor": SENSOR, "input": RECORDED}.get(kind, PHYSICAL)
     step = float(np.linalg.norm(null.turn[k]))
     direction = int(np.argmax(np.abs(null.turn[k])))
     sizes = []

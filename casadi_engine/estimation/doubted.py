@@ -66,7 +66,7 @@ def judged(
     few = _few(search, white)
     told = (*(() if unchecked is None else (unchecked,)), *few)
     if not doubts or check is None:
-        return Judged(_bent_ties(search, errors, estimates), initial, told)
+        return Judged(_bent_ties(search, white, errors, estimates), initial, told)
     matrix, slopes = white.covariance.matrix, errors.slopes()
     with_error = [name for name, one in estimates.items() if one.stderr]
     free = [name for name in search.pmap.free if name in with_error and _of(doubts, slopes[name], matrix)]
@@ -104,7 +104,7 @@ def judged(
         said[-1] += "; the intervals are of the one optimum that was found: starts=10 looks for others"
     if not any(one.stderr for one in estimates.values()):  # none is left that could be of the curvature
         told = few
-    return Judged(_bent_ties(search, errors, estimates), initial, (*said, *told), below)
+    return Judged(_bent_ties(search, white, errors, estimates), initial, (*said, *told), below)
 
 
 def _few(search: Search, errors: Uncertainty) -> tuple[str, ...]:
@@ -119,12 +119,14 @@ def _few(search: Search, errors: Uncertainty) -> tuple[str, ...]:
     )
 
 
-def _bent_ties(search: Search, errors: Uncertainty, estimates: dict[str, Estimate]) -> dict[str, Estimate]:
+def _bent_ties(
+    search: Search, white: Uncertainty, errors: Uncertainty, estimates: dict[str, Estimate]
+) -> dict[str, Estimate]:
     """The estimates with an interval of what a tie makes of parameters where it bends so much that ± does not tell its
     ends: it is followed along the way of the parameters that moves it most."""
     if not errors.optimal:
         return estimates
-    pmap, scale, root = search.pmap, search.coordinates.slope(errors.v), root_of(search, errors)
+    pmap, scale, root = search.pmap, search.coordinates.slope(errors.v), root_of(search, white)
     z, low, high = (
         search.coordinates.values(x[: len(scale)]) for x in (errors.x, search.lower, search.upper)
     )
