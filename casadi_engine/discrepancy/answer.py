@@ -65,6 +65,7 @@ from casadi_engine.discrepancy.law_refit import is_far, refitted_law
 from casadi_engine.discrepancy.left_out import left_out_alike
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.only_rounding import without_what_rounding_leaves
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import ORDERS
@@ -110,6 +111,7 @@ _LEFT_OUT = {
     "imitators": "what the effects do beside a law that no effect names",
     "refitted law": "what such a law does as a part of the equations",
     "left out": "what was left out and does the same",
+    "rounding": "what rounded corners do that effects seem to",
 }
 
 
@@ -143,11 +145,15 @@ class Answer:
         null = self.search.null
         if self.portion.why is not None:
             self.messages.append(self.portion.why)
-        proof = self._timed("confirm", self.fresh.run)
+        proof = self._less_rounding(self._timed("confirm", self.fresh.run))
         proof, last = self._honest(proof)
         claim = self._claimed(proof, last)
         null = self.search.null  # in the colour of its noise by now
         claim = self._held_to_laws(claim, null)
+        cut = self._was_cut("refitted law") or self._was_cut("unknown law")
+        if cut and not claim.found and claim.unknown is None and claim.last.screened.choice.is_coloured:
+            # a law may be all of that colour
+            claim = replace(claim, unknown=Unknown(untold(self.search), {}))
         if self._is_unjudged(claim):
             claim = claim.withdrawn_for(claim.unknown, null, UNJUDGED)
         if claim.found and claim.unknown is None:
@@ -360,6 +366,26 @@ class Answer:
         gone = [replace(one, why_withdrawn=BEHIND_LAW) for one in claim.found[len(kept) - 1 :]]
         found, _ = _effects(proof)
         return Claim(proof, kept[-1], found, (*gone, *claim.withdrawn), claim.unknown)
+
+    def _less_rounding(self, proof: Confirmation) -> Confirmation:
+        """Without effects that were added to what rounded corners of the others leave."""
+        refits = self.search.refits
+        kept = self._in_time("rounding", lambda: without_what_rounding_leaves(refits, tuple(proof.kept)))
+        if kept is None or len(kept) == len(proof.kept):
+            return proof
+        called = [f"{one.candidate.effect} at {one.candidate.port}" for one in kept[-1].effects]
+        self.messages += [
+            f"{one.candidate.effect} at {one.candidate.port} {LEFT_OUT} it gains less than sharper corners of "
+            f"{' and '.join(called)} may"
+            for one in proof.kept[-1].effects
+            if one not in kept[-1].effects
+        ]
+        self.search.best = key_of(kept[-1].effects)
+        judged, after = proof.judgement, proof.after
+        if judged is not None and proof.before:
+            judged, again = self.fresh.judged(kept, proof.before)
+            after = again or []
+        return replace(proof, kept=kept, judgement=judged, after=after)
 
     @property
     def _rare(self) -> float:

@@ -375,10 +375,18 @@ def test_numbers_under_each_others_headings_are_exchanged_as_they_were_recorded(
     """A column of degrees under the heading of a torque: its numbers are degrees, whatever unit was read."""
     made = run()
     right = ce.Experiment.from_arrays(
-        "right", units={"time": "s", "F": "N", "pos": unit}, time=made["time"], F=made["F"], pos=factor * made["pos"]
+        "right",
+        units={"time": "s", "F": "N", "pos": unit},
+        time=made["time"],
+        F=made["F"],
+        pos=factor * made["pos"],
     )
     wrong = ce.Experiment.from_arrays(
-        "wrong", units={"time": "s", "F": "N", "pos": unit}, time=made["time"], F=factor * made["pos"], pos=made["F"]
+        "wrong",
+        units={"time": "s", "F": "N", "pos": unit},
+        time=made["time"],
+        F=factor * made["pos"],
+        pos=made["F"],
     )
     back = Reading("numbers", ("F", "pos"), "", "").of(wrong)
     assert (back["F"].unit, back["pos"].unit) == (right["F"].unit, right["pos"].unit)
