@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.checked_errors import is_of_rounding
+from casadi_engine.discrepancy.common_delay import common_delay
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh_misfit import (
     FRESH,
@@ -147,7 +148,15 @@ def _more_probable(repair: Repair) -> list[str]:
     """The most probable members, two at most of each class, where the one that leads, as its fit had ended, is excluded
     by them."""
     found = []
+    same = bool(common_delay(repair))  # no data tell a late input from late sensors
     for one in repair.effects:
+        if (
+            same
+            and one.name.startswith("sensor_")
+            and one.members[1:2]
+            and one.members[1].at.startswith("input_")
+        ):
+            continue
         if one.members and one.members[0].probability < 1 / FACTOR:
             rest = sorted(one.members[1:], key=lambda member: -member.probability)
             found += [member.label for member in rest[:2] if member.probability >= 1 / FACTOR]
@@ -294,7 +303,7 @@ def next_step(repair: Repair) -> str:
         return _unconfirmed(repair)
     if repair.confirmed is False:
         return "test it on more fresh data before you use it: those that were given do not confirm it"
-    return "go on with repair.fit, the repaired model: print(repair.fit)"
+    return f"go on with repair.fit, the repaired model: print(repair.fit){_on_fixed(repair)}"
 
 
 def _on_fixed(repair: Repair) -> str:
