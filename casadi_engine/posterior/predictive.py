@@ -15,6 +15,7 @@ from casadi_engine.estimation.options import check_level, whole
 from casadi_engine.estimation.prediction import DRAWS
 from casadi_engine.estimation.simulate import simulate
 from casadi_engine.experiment import Experiment
+from casadi_engine.model.arrival import arriving
 
 if TYPE_CHECKING:
     from casadi_engine.posterior.result import Posterior
@@ -118,6 +119,7 @@ def predictive(
             allowed="an Experiment, or None for the fit's first record",
             cure="read one by read_experiment(path)",
         )
+    record = arriving(post.fit.model, record)
     count = min(whole("draws", draws, 2), len(post.values), DRAWS)
     chosen = np.random.default_rng(whole("seed", seed, 0)).choice(len(post.values), count, replace=False)
     some = _Drawn(post.fit, {name: own[chosen] for name, own in post.draws.items()})

@@ -52,3 +52,23 @@ def test_a_record_without_outputs_needs_its_start(decay):
         post.predictive(empty, draws=5)
     ahead = post.predictive(empty, draws=5, initial={"x": 2.0})
     assert ahead.runs["y"][:, 0] == pytest.approx(2.0)
+
+
+def test_a_fresh_record_is_held_against_the_band_in_the_units_of_the_model():
+    """A moisture in % was said to be outside the band at every sample, as it is stored as a share."""
+    b = ce.Blueprint("drying")
+    k, x = b.parameter("k", 1.0, unit="1/s", min=0.05, max=10), b.state("x", unit="%")
+    b.ode("x", -k * x)
+    b.output("y", x, unit="%")
+    shown = {
+        name: 20 * np.exp(-0.7 * TIME) + 0.5 * np.random.default_rng(seed).standard_normal(len(TIME))
+        for seed, name in enumerate(("a", "b"))
+    }
+    first, fresh = (
+        ce.Experiment.from_arrays(name, time=TIME, units={"y": "%"}, y=y) for name, y in shown.items()
+    )
+    fit = ce.estimate(b.model(), first, progress=False)
+    ahead = ce.posterior(fit, progress=False).predictive(fresh)
+    np.testing.assert_allclose(ahead.measured["y"], shown["b"])
+    low, high = ahead.band("y", noise=True)
+    assert np.mean((low <= shown["b"]) & (shown["b"] <= high)) > 0.85
