@@ -19,7 +19,7 @@ _FEW = 8
 # Standard deviations, by the median, beyond which a sample is wild; share of all squared residuals that wild ones hold
 # where they decide the fit; share of the samples that they are at most, and up to which they are single faults: more
 # are the tails of a noise that is not normal, for which there is a loss.
-_WILD, _DECIDE, _MOST, _RARE = 15.0, 0.5, 0.2, 0.01
+_WILD, _DECIDE, _MOST, _RARE = 8.0, 0.5, 0.2, 0.01
 # Share of its median absolute deviation that the standard deviation of a normal variable is.
 _MAD = 1.4826
 _NAMED = 5
