@@ -135,11 +135,19 @@ def _exchanged(channels: Sequence[Variable]) -> Iterator[Reading]:
 
 
 def _across(inputs: Sequence[Variable], outputs: Sequence[Variable]) -> Iterator[Reading]:
-    """An input and an output of different units under each other's heading."""
-    pairs = [(one, other) for one in inputs for other in outputs if one.unit != other.unit]
+    """An input and another channel of a different unit under each other's heading."""
+    pairs = [*((one, other) for one in inputs for other in outputs), *combinations(inputs, 2)]
+    pairs = [pair for pair in pairs if not _of_one_kind(*pair)]
     for one, other in pairs[:_CHANNELS]:
         words = f"the numbers of {one.name} and {other.name} exchanged"
         yield Reading("numbers", (one.name, other.name), words, "look which column is which")
+
+
+def _of_one_kind(one: Variable, other: Variable) -> bool:
+    """True of two units of one dimension, or neither of which is stated."""
+    if NOT_STATED in (one.unit, other.unit):
+        return one.unit == other.unit
+    return read_unit(one.unit).dimension == read_unit(other.unit).dimension
 
 
 def _temperatures(what: str, channels: Sequence[Variable]) -> Iterator[Reading]:

@@ -354,9 +354,10 @@ def _records(data: Any, model: Model) -> tuple[Experiment, ...]:
     several = isinstance(data, Iterable) and not isinstance(data, str)
     records = (data,) if isinstance(data, Experiment) else tuple(data) if several else ()
     if not records or not all(isinstance(record, Experiment) for record in records):
+        kinds = sorted({type(record).__name__ for record in records})
         raise EstimationError(
             "there is nothing to fit to",
-            seen=f"{type(data).__name__}: {[type(record).__name__ for record in records]}",
+            seen=f"{type(data).__name__} of {', '.join(kinds) or 'none'}",
             allowed="an Experiment, or a sequence of one or more",
             cure="read one by read_experiment(path)",
         )

@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 
 # Gauss-Newton steps in the initial states at a point, the same at a look, and the fall of chi-squared that ends them.
 _STEPS, _ROUGH, _FALL = 5, 2, 0.02
-# Points from which on they run side by side; and the log likelihood by which they may differ from one by itself, as a
-# share of how far it lies below the best.
-_FEW, _ALIKE = 16, 1e-2
+# Points that run side by side between two looks whether they say what one by itself says; and the log likelihood by
+# which they may differ, as a share of how far it lies below the best.
+_LOOKED, _ALIKE = 64, 1e-2
 # Squared standard errors within which two ends are one.
 _ONE = 1.0
 # Standard errors of an optimum within which its initial states are looked for.
@@ -153,6 +153,7 @@ class LaplaceLikelihood:
         self._reach: list[Array] = []  # the information at each branch, where there are several
         self._last = self.branches[0].best  # where the model was looked at last
         self._top = -np.inf  # the largest log likelihood that was met
+        self._since = _LOOKED  # points that ran side by side since it was last asked whether they may
 
     def leads_to(self, first: Mapping[str, Array], v: Array, sigma: Array) -> bool:
         """True if these initial states of another optimum, scaled, are met at its v (nv,), or none can be."""
@@ -196,23 +197,25 @@ class LaplaceLikelihood:
         return found
 
     def _side_by_side(self, v: Array, sigma: Array) -> Array:
-        """The same by one run for many points, NaN where it is not told so: where there are few, as laws ask for steps
-        of their own at each point, and where it does not say what a point by itself says."""
+        """The same by one run for many points, NaN where it is not told so: where it does not say what a point by
+        itself says, as laws may ask for steps of their own at each point. That is looked at now and then."""
         found = np.full(len(v), np.nan)
-        if (
-            len(v) < _FEW
-            or len(self.branches) > 1
-            or not self._shots.runs_side_by_side(self.branches[0].best)
-        ):
+        if len(self.branches) > 1 or not self._shots.runs_side_by_side(self.branches[0].best):
             return found
         many = ManyPoints(self._shots, self.branches[0].parts, _STEPS, _FALL)
         for part in np.array_split(np.arange(len(v)), -(-len(v) // many.room)):
             found[part] = self._of_many(many, v[part], sigma[part])
+        self._since += len(v)
+        if self._since < _LOOKED:
+            return found
         order = np.argsort(np.where(np.isnan(found), -np.inf, found))
-        for k in order[[-1, -1 - len(order) // 4, len(order) // 2]]:  # the best one, and others
+        for k in dict.fromkeys(
+            order[[-1, -1 - len(order) // 4, len(order) // 2]]
+        ):  # the best one, and others
             alone = self._value(v[k], sigma[k])
             if np.isfinite(found[k]) and abs(found[k] - alone) > _ALIKE * max(1.0, found[order[-1]] - alone):
                 return np.full(len(v), np.nan)
+        self._since = 0
         return found
 
     def _of_many(self, many: ManyPoints, v: Array, sigma: Array) -> Array:

@@ -394,6 +394,23 @@ def test_numbers_under_each_others_headings_are_exchanged_as_they_were_recorded(
     np.testing.assert_allclose(back["pos"].values, right["pos"].values, rtol=1e-12, atol=1e-12)
 
 
+def test_inputs_of_unlike_units_under_each_others_headings_are_tried():
+    b = ce.Blueprint("heater")
+    t = b.state("T", unit="K")
+    power, outside, other = b.input("P", unit="W"), b.input("To", unit="K"), b.input("Ta", unit="K")
+    b.ode("T", (power - b.parameter("G", 1.5, unit="W/K") * (t - outside - other)) / 400)
+    b.output("shown", t, unit="K")
+    moving = np.arange(9.0)
+    record = ce.Experiment.from_arrays(
+        "a", time=moving, units={"P": "W", "To": "degC", "Ta": "K", "shown": "K"},
+        P=moving, To=moving, Ta=moving, shown=moving,
+    )  # fmt: skip
+    ways = [
+        one.names for one in readings(b.model(), [record], every=True) if one.what in ("exchange", "numbers")
+    ]
+    assert ways == [("To", "Ta"), ("P", "shown"), ("P", "To"), ("P", "Ta")]
+
+
 def test_all_ways_are_fitted_where_nothing_else_would_tell_them():
     """Far from the parameters' start the right way does not look the best at first sight."""
     found = alone(cart(both=False), recorded(run(k=25.0), time=1e-3))
