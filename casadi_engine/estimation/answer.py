@@ -40,6 +40,8 @@ Array = NDArray[np.float64]
 
 # What takes the place of errors where there are none.
 _NO_ERRORS = "there are no standard errors, as this is no optimum"
+# Growth of the errors by noise that may not be of one size, which no test tells, from which on that is said.
+_UNTOLD = 1.2
 
 
 def make_fit(
@@ -176,6 +178,8 @@ def _with_noise(
     if counted:
         errors, ratio, effective = with_own_noise(search, best, white, noises, varied)
     then = errors_then(ratio if errors is not white else None, effective) if errors.optimal else _NO_ERRORS
+    felt = float(ratio.max(initial=1.0)) > _UNTOLD
+    varied = tuple(one for one in varied if felt or one.chance == 1)
     notes = of_the_noise(search, noises, varied, then) + of_quieter_outputs(search, best)
     return errors, ratio, notes
 

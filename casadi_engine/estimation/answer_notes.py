@@ -182,6 +182,9 @@ def of_the_noise(
     for own in varied:
         keys = " and ".join(f"{search.records[own.at].experiment.name}/{name}" for name in own.outputs)
         how = "depends on what the sensor shows" if own.grows else "changes along the record"
+        how += ", as a share of it" if own.of_share else ""
+        if own.chance < 1:
+            how = f"{how.replace('depends', 'may depend').replace('changes', 'may change')} ({100 * own.chance:.0f} %)"
         what = f"the size of the residual of {keys} {how}, and the fit weights all samples alike"
         if own.step:
             what = f"{keys} is read in steps of {own.step:.3g}: rounding is most of its noise and depends on the motion"

@@ -28,7 +28,15 @@ from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, efficiency
 from casadi_engine.estimation.uncertainty import chained
-from casadi_engine.estimation.varied_noise import Varied, by_rounding, of_size, scattered, shared, together
+from casadi_engine.estimation.varied_noise import (
+    Varied,
+    by_rounding,
+    of_size,
+    scattered,
+    scattered_by_share,
+    shared,
+    together,
+)
 
 Array = NDArray[np.float64]
 
@@ -250,7 +258,7 @@ def with_own_noise(
         for odd in varied:
             at = _entries(search, odd.at)
             own = (matrix if odd.step else errors.told)[np.ix_(at, at)]
-            fixed[np.ix_(at, at)] += _of_varied(search, points[odd.at], odd, own)
+            fixed[np.ix_(at, at)] += odd.chance * _of_varied(search, points[odd.at], odd, own)
         matrix = errors.told + errors.scattered(fixed)
     matrix, more, few = errors.told, fixed, math.inf
     for _ in range(_ROUNDS):
@@ -294,7 +302,10 @@ def _of_varied(search: Search, point: RecordPoint, one: Varied, errors: Array) -
     if len(slopes) == 1:
         (name,) = one.outputs
         seen, sigma = record.grid.measured[name], float(search.sigma[search.levels.outputs.index(name)])
-        course = of_size(seen.values + sigma * residuals[0]) if one.grows else seen.time
+        shown = seen.values + sigma * residuals[0]
+        if one.of_share:
+            return _beyond(scattered_by_share(residuals[0], slopes[0], errors, shown), white)
+        course = of_size(shown) if one.grows else seen.time
         return _beyond(scattered(residuals[0], slopes[0], errors, course), white)
     both = [
         own[rows]

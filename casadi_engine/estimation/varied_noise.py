@@ -5,8 +5,11 @@ record, noise is not of one size: that of many instruments is a share of what th
 outputs go together, both sensors show one disturbance, and each is worth less than it says. The estimates of such a fit
 are right on average; their errors are those of the sandwich A^-1 B A^-1 of ``residual_noise``, with B of the residuals
 themselves: the sum over samples of slopes times squared residuals, each over what the estimates left of it; by the
-square of the share that they took, with variances that are a smooth function of the output or the time. Rounding
-is determined by the signal and comes back with it: B is found by rounding the simulation, moved within its errors.
+square of the share that they took, with variances that are a smooth function of the output or the time. Where few
+samples leave it open whether noise is of one size, B is the mean of both by their probability (by the change of the log
+likelihood, less half the logarithm of the number of samples for each of two numbers: Schwarz, Ann. Statist. 6 (1978)
+461): errors by a test that does not see it are too small by a factor. Rounding is determined by the signal and comes
+back with it: B is found by rounding the simulation, moved within its errors.
 
 Source: White, Econometrica 48 (1980) 817; MacKinnon & White, J. Econometrics 29 (1985) 305 (their HC3); the test is
 the likelihood ratio of log-linear variances (Harvey, Econometrica 44 (1976) 461), with the scatter of the squares where
@@ -39,6 +42,9 @@ _RARE, _TOGETHER, _FEW = 5e-3, 3.2, 15
 _HIDDEN, _DRAWS = 0.5, 100
 # Samples that are drawn at most, but for so many drawings of a long record.
 _SAMPLES, _FEWEST = 10_000_000, 20
+# Chance below which noise is taken to be of one size; share of the largest value below which an instrument's error is
+# no share of what it shows.
+_UNLIKELY, _FLOOR = 0.05, 0.02
 # Size of a residual, in its level, below which errors that count with the level are larger than any it may ask for.
 _LOUD = 0.5
 # Share of a sample's own residual that estimates may take at most, for what is left to tell its size; beyond which it
@@ -57,6 +63,7 @@ class Varied:
 
     at : number of the record; outputs : one, or two; share : the correlation of two; grows : True where its size goes
     with what the output shows, False with the time; step : of a sensor that reads in steps, which are most of its noise
+    chance : how probable it is, of what no test tells; of_share : the noise is a share of what the output shows
     """
 
     at: int
@@ -64,6 +71,8 @@ class Varied:
     share: float = 0.0
     grows: bool = True
     step: float = 0.0
+    chance: float = 1.0
+    of_share: bool = False
 
 
 def varied_noise(
@@ -90,23 +99,67 @@ def varied_noise(
             and np.mean(r**2) > _LOUD**2
             and not search.levels.rounding(name, r, search.sigma)
         }
-        plain = []
+        plain = dict[str, _Signs]()
         for name, r in rows.items():
             own, sigma = record.grid.measured[name], float(search.sigma[search.levels.outputs.index(name)])
             step = steps_of(own.values, sigma * r)
             if step:
                 found.append(Varied(at, (name,), step=step))
             elif (at, name) not in known:
-                plain.append(name)
-                courses = of_size(own.values + sigma * r), own.time
-                by_size, by_time = (_goes_with(r, course, taken.get((at, name))) for course in courses)
-                if min(by_size, by_time) < _RARE / 2:
-                    found.append(Varied(at, (name,), grows=by_size <= by_time))
+                plain[name] = _signs_of(r, own.values + sigma * r, own.time, taken.get((at, name)))
+        found += _of_signs(at, plain)
         for one, other in combinations(plain, 2):
             share, count = _correlation(record.grid.measured, rows, one, other)
             if count >= _FEW and abs(share) * math.sqrt(count) > _TOGETHER:
                 found.append(Varied(at, (one, other), share))
     return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Signs:
+    """Log likelihoods, beside that of noise of one size, of a size that follows a course, less what choosing it costs,
+    and of one that is a share of what the output shows; grows : the course is of that; told : a test tells it."""
+
+    course: float
+    share: float
+    grows: bool
+    told: bool
+
+    @property
+    def odds(self) -> float:
+        """Of either, as logarithm."""
+        return float(np.logaddexp(self.course, self.share)) - math.log(2)
+
+
+def _signs_of(r: Array, shown: Array, time: Array, taken: Array | None) -> _Signs:
+    by_size, by_time = (_gain_of(r, course, taken) for course in (of_size(shown), time))
+    best, price = max(by_size, by_time), math.log(2 * len(r))
+    return _Signs(
+        best - price,
+        _as_a_share(r, shown, taken),
+        by_size >= by_time,
+        float(chi2_sf(2 * best, 2)) < _RARE / 2,
+    )
+
+
+def _of_signs(at: int, signs: Mapping[str, _Signs]) -> list[Varied]:
+    """What the signs of a record's outputs say together."""
+    shares, courses = (
+        math.fsum(getattr(one, kind) for one in signs.values()) for kind in ("share", "course")
+    )
+    of_share = shares > max(courses, 0.0)
+    chances = _chances({name: one.odds for name, one in signs.items()})
+    return [
+        Varied(
+            at,
+            (name,),
+            grows=one.grows or of_share,
+            chance=1.0 if one.told else chances[name],
+            of_share=of_share,
+        )
+        for name, one in signs.items()
+        if one.told or chances[name] > _UNLIKELY
+    ]
 
 
 def steps_of(measured: Array, residual: Array) -> float:
@@ -139,29 +192,75 @@ def sizes_of(residual: Array, shown: Array, taken: Array | None = None) -> Array
     return np.sqrt(_variances(squares * float(weight.sum()) / float(weight @ squares), weight, course))
 
 
-def _goes_with(r: Array, course: Array, taken: Array | None = None) -> float:
-    """How often chance makes the squares of white noise (n,) depend as much on a course and its square.
+def _chances(odds: Mapping[str, float]) -> dict[str, float]:
+    """Output -> how probable it is that its noise is not of one size, by the log odds of that of each by itself.
 
-    taken : (n,) share of each sample's variance that the estimates took, None where that is next to nothing. Twice the
-    logarithm of the likelihood of variances exp(a + b x + c x^2) over that of one variance, of squares each with as
-    many degrees of freedom as are left of it.
+    None is as probable before as any: instruments of one kind, in one place, are all so or none is, half as often as
+    some of them.
+    """
+    names = list(odds)
+    if not names:
+        return {}
+    every, some = math.fsum(odds.values()), {name: np.logaddexp(0.0, log) for name, log in odds.items()}
+    apart = math.fsum(some.values()) - len(names) * math.log(2)
+    ways = np.array([math.log(0.5), math.log(0.25) + every, math.log(0.25) + apart])
+    share = np.exp(ways - np.logaddexp.reduce(ways))
+    return {
+        name: float(share[1] + share[2] / (1 + math.exp(-min(log, _MOST)) if log > -_MOST else math.inf))
+        for name, log in odds.items()
+    }
+
+
+def _goes_with(r: Array, course: Array, taken: Array | None = None) -> float:
+    """How often chance makes the squares of white noise (n,) depend as much on a course and its square."""
+    return float(chi2_sf(2 * _gain_of(r, course, taken), 2))
+
+
+def _gain_of(r: Array, course: Array, taken: Array | None = None) -> float:
+    """Logarithm of the likelihood of variances exp(a + b x + c x^2) of noise (n,) over that of one variance, of squares
+    each with as many degrees of freedom as are left of it.
+
+    taken : (n,) share of each sample's variance that the estimates took, None where that is next to nothing
     """
     spread = float(np.ptp(course))
     weight = np.ones(len(r)) if taken is None else 1 - np.clip(taken, 0.0, 1.0)
     here = weight > 1 - _TOLD
     if not spread > 0 or here.sum() < _FEW:
-        return 1.0
+        return 0.0
     weight, squares = weight[here], r[here] ** 2 / weight[here]
     level = float(weight @ squares) / float(weight.sum())
     if not level > 0:
-        return 1.0
+        return 0.0
     own = _variances(squares / level, weight, course[here])
     gain = float(weight @ (squares / level - np.log(own) - squares / level / own))
     left = squares / level / own
     mean = float(weight @ left) / float(weight.sum())
     # 2 of normal noise, more where tails are heavy
     tails = max(2.0, float(weight @ (left - mean) ** 2) / float(weight.sum()) / mean**2)
-    return float(chi2_sf(2 * gain / tails, 2)) if gain > _NOTHING else 1.0
+    return gain / tails if gain > _NOTHING else 0.0
+
+
+def _as_a_share(r: Array, shown: Array, taken: Array | None = None) -> float:
+    """Logarithm of the likelihood of noise (n,) that is a share of what an output shows over that of one size.
+
+    taken : as for a course
+    """
+    weight = np.ones(len(r)) if taken is None else 1 - np.clip(taken, 0.0, 1.0)
+    here = weight > 1 - _TOLD
+    size = np.abs(shown[here])
+    if here.sum() < _FEW or not size.max() > 0 or not r[here].any():
+        return -math.inf
+    weight, squares, size = weight[here], r[here] ** 2 / weight[here], _floored(size)
+
+    def cost(shape: Array) -> float:
+        level = float(weight @ (squares / shape)) / float(weight.sum())
+        return float(weight @ np.log(level * shape)) / 2  # and half the weights' sum, whatever the shape
+
+    return cost(np.ones_like(size)) - cost(size**2)
+
+
+def _floored(size: Array) -> Array:
+    return np.maximum(size, _FLOOR * size.max())
 
 
 def _variances(squares: Array, weight: Array, course: Array) -> Array:
@@ -225,6 +324,14 @@ def scattered(residual: Array, slopes: Array, errors: Array, course: Array) -> A
         smooth = own.copy()
         smooth[here] = level * _variances(squares / level, weight, course[here]) if level > 0 else own[here]
     return np.asarray((slopes * ((1 - taken**2) * own + taken**2 * smooth)[:, None]).T @ slopes)
+
+
+def scattered_by_share(residual: Array, slopes: Array, errors: Array, shown: Array) -> Array:
+    """The same of noise that is a share of what an output shows (n,)."""
+    left = 1 - np.clip(np.einsum("nk,kl,nl->n", slopes, errors, slopes, optimize=True), 0.0, 1.0)
+    shape = _floored(np.abs(shown)) ** 2
+    level = float(np.sum(residual**2 / shape)) / float(left.sum())
+    return np.asarray((slopes * (level * shape)[:, None]).T @ slopes)
 
 
 def by_rounding(measured: Array, residual: Array, slopes: Array, errors: Array, step: float) -> Array:

@@ -142,3 +142,63 @@ def test_steps_that_noise_hides_are_none():
     assert varied.steps_of(0.3 * np.round((TRUE + noise) / 0.3), noise) == pytest.approx(0.3)
     fit = fitted(y=y)
     assert not any("read in steps" in text for text in fit.messages)
+
+
+def chain():
+    """A <-> B -> C from A alone; A and C are seen at 25 times, most of them late."""
+    b = ce.Blueprint("isomer")
+    names = {"k1": 0.3, "k2": 0.3, "km": 0.1}
+    k1, k2, km = (b.parameter(name, value, unit="1/s", min=1e-3, max=20) for name, value in names.items())
+    a, i, c = (b.state(name, unit="mmol/L") for name in "ABC")
+    b.ode("A", -k1 * a + km * i)
+    b.ode("B", k1 * a - km * i - k2 * i)
+    b.ode("C", k2 * i)
+    b.output("a", a, unit="mmol/L")
+    b.output("c", c, unit="mmol/L")
+    return b.model()
+
+
+@pytest.fixture(scope="module")
+def concentrations():
+    rates = np.array([[-0.9, 0.3, 0], [0.9, -0.55, 0], [0, 0.25, 0]])
+    times = np.concatenate([[0], np.sort(np.random.default_rng(1).uniform(0.1, 14, 24))])
+    values, vectors = np.linalg.eig(rates)
+    start = np.linalg.solve(vectors, [10.0, 0, 0])
+    return times, np.real((vectors * start) @ np.exp(np.outer(values, times)))
+
+
+@pytest.mark.parametrize("share", [True, False])
+def test_errors_of_few_samples_count_with_noise_that_is_a_share_of_what_is_shown(concentrations, share):
+    """No test of a record told that noise is not of one size: 95 % held 68 % of the truth, without a word."""
+    times, shown = concentrations
+    inside, larger = [], []
+    for seed in range(10 if share else 4):
+        e = np.random.default_rng(1000 + seed).standard_normal((2, len(times)))
+        a, c = shown[[0, 2]] * np.exp(0.05 * e) if share else shown[[0, 2]] + np.array([[0.1], [0.2]]) * e
+        units = {"a": "mmol/L", "c": "mmol/L"}
+        data = ce.Experiment.from_arrays("vial", time=times, units=units, a=a, c=c)
+        fit = ce.estimate(chain(), data, initial={"B": 0.0, "C": 0.0}, progress=False)
+        larger.append(fit.own_noise.get("k1", 1.0))
+        for name, truth in {"k1": 0.9, "k2": 0.25, "km": 0.3}.items():
+            own = fit.estimates[name]
+            inside.append(abs(own.value - truth) < 2 * (own.stderr or own.quadratic))
+    assert bool(np.median(larger) > 1.3) is share
+    assert 0.85 < np.mean(inside)
+
+
+def test_outputs_of_a_record_tell_together_whether_noise_is_of_one_size():
+    assert varied._chances({}) == {}
+    alone = varied._chances({"y": 0.0})["y"]
+    assert 0.3 < alone < 0.5
+    both = varied._chances({"y": 0.0, "z": 6.0})
+    assert both["z"] > both["y"] > alone
+    assert varied._chances({"y": -30.0})["y"] < 1e-6
+    assert varied._chances({"y": 30.0})["y"] > 1 - 1e-6
+
+
+def test_noise_that_is_a_share_has_a_likelihood_of_its_own():
+    rng, shown = np.random.default_rng(4), np.geomspace(0.1, 10, 40)
+    assert varied._as_a_share(0.05 * shown * rng.standard_normal(40), shown) > 10
+    assert varied._as_a_share(0.05 * rng.standard_normal(40), shown) < -10
+    assert varied._as_a_share(np.zeros(40), shown) == -np.inf
+    assert varied._as_a_share(rng.standard_normal(40), np.zeros(40)) == -np.inf
