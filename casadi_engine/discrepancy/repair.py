@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.blas_threads import one_blas_thread
-from casadi_engine.deadline import Deadline, TimeUp, late
+from casadi_engine.deadline import Deadline, TimeUp, late, lifted
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
 from casadi_engine.discrepancy.checked_errors import with_checked_errors, with_errors_of_rounding
@@ -383,7 +383,7 @@ class _Job:
         refits, options = search.refits, self.options
         left = _not_searched(search, made)
         felt = refits.rounding_felt(search.chosen.effects)
-        with self.deadline.spared(1.0), suppress(TimeUp):
+        with lifted():  # one simulation at most, by which an answer may have to be less sure
             made = told_as_one_law(made)
         made = with_errors_of_rounding(made, felt, refits.path.moved, ended=bool(left))
         made = with_hint(replace(made, stopped=self._by if left else "", not_searched=left), self.misread)

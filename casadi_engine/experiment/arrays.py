@@ -12,7 +12,7 @@ from casadi_engine.errors import ExperimentError, UnitError
 from .channel import Channel, Step, check_channel_name, frozen, numbers
 from .header import name_list
 from .source import Loaded
-from .units import FloatArray, split_header, to_si
+from .units import FloatArray, as_recorded, split_header, to_si
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -145,7 +145,7 @@ def _channel(
     return Channel(
         name=name,
         unit=unit,
-        recorded="" if unit == units[name] else units[name],
+        recorded=as_recorded(units[name]),
         time=time,
         values=values,
         hold=_word(hold, name, "hold", "first"),

@@ -14,7 +14,7 @@ from .channel import Channel, IntArray, Step, frozen
 from .csv_careful import read_rows, shown
 from .header import Column, Header, Request, parse_header
 from .source import Loaded, Source, unpacked
-from .units import FloatArray, to_si
+from .units import FloatArray, as_recorded, to_si
 
 _PLAIN = b"0123456789+-.eE, \t\n"
 # NumPy reads a body of fewer bytes than this before pandas, which reads five times faster, is imported.
@@ -210,7 +210,7 @@ def _channel(
     return Channel(
         name=column.name,
         unit=unit,
-        recorded="" if column.unit in (None, unit) else str(column.unit),
+        recorded=as_recorded(column.unit or "1"),
         time=time,
         values=data,
         hold=request.hold,

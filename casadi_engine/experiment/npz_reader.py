@@ -17,7 +17,7 @@ from casadi_engine.errors import DataFileError, ExperimentError, UnitError
 from .channel import Channel, Step, frozen, numbers
 from .header import Request
 from .source import Loaded, Source
-from .units import FloatArray, split_header, to_si
+from .units import FloatArray, as_recorded, split_header, to_si
 
 # What NumPy and zipfile raise on damaged or hostile archives; pickled objects come as ValueError.
 _DAMAGED = (
@@ -214,7 +214,7 @@ def _channel(arrays: _Archive, request: Request, name: str, time_key: str, key: 
         return Channel(
             name=name,
             unit=si,
-            recorded="" if unit == si else unit,
+            recorded=as_recorded(unit),
             time=time,
             values=values,
             hold=request.hold,

@@ -118,6 +118,15 @@ def read_data_unit(unit: Any, *, where: str = "") -> Unit:
     return read_unit(unit, where=where)
 
 
+def as_recorded(unit: str) -> str:
+    """The unit of data as it was given, where its numbers are not those of the SI unit; else "".
+
+    >>> as_recorded("deg"), as_recorded("N m"), as_recorded("-")
+    ('deg', '', '')
+    """
+    return "" if read_data_unit(unit).is_si else unit.strip()
+
+
 def si_unit(unit: str, *, where: str = "") -> str:
     """SI unit text that ``unit`` is converted to, in the same symbols: N mm becomes N m, not kg m2/s2.
 

@@ -12,6 +12,9 @@ from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.null_path import NullPath, Points
 from casadi_engine.simulation.tape import ArrayFunction
 
+# Steps of one sweep of the virtual machine.
+_SWEEP = 256
+
 
 class Columns:
     """The structurally non-zero entries of K expression columns (rows, 1), evaluated on points."""
@@ -98,11 +101,26 @@ class OwnStates:
             length = np.broadcast_to(path.lengths / parts, (1, steps))
             stacked.append(np.concatenate([*[np.concatenate(p.arguments) for p in sides], length]))
         given = np.stack(stacked, axis=2).reshape(len(stacked[0]), steps * parts)
-        after, half = self._step.mapaccum(steps * parts)(self.start, given)
-        after = np.asarray(after, dtype=float).reshape(len(self.start), steps, parts)
-        half = np.asarray(half, dtype=float).reshape(len(self.start), steps, parts)
+        after, half = (every.reshape(len(self.start), steps, parts) for every in self._swept(given))
         before = np.concatenate([self.start[:, None], after[:, :, -1][:, :-1]], axis=1)
         out = [before]
         for k in range(parts):
             out += [half[:, :, k], after[:, :, k]]
         return out
+
+    def _swept(self, given: Array) -> tuple[Array, Array]:
+        """The states (ne, K) at the ends of steps and in their middle; given : (rows, K). In pieces of one length: to
+        lay out a run takes far longer than to make it."""
+        count = given.shape[1]
+        size = min(_SWEEP, count)
+        sweep = self._step.mapaccum(size)
+        after, half = np.empty((2, len(self.start), count))
+        state = self.start
+        for k in range(0, count, size):
+            # the last piece steps back over what is done
+            first = min(k, count - size)
+            state = state if first == k else after[:, first - 1] if first else self.start
+            here = slice(first, first + size)
+            after[:, here], half[:, here] = sweep(state, given[:, here])
+            state = after[:, first + size - 1]
+        return after, half

@@ -370,7 +370,7 @@ def test_numbers_under_each_others_headings_are_told_where_units_differ():
     assert not [one for one in readings(cart(), (record,)) if one.what == "numbers"]
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("mm", 1e3), ("degC", 1.0)])
+@pytest.mark.parametrize(("unit", "factor"), [("mm", 1e3), ("degC", 1.0), ("-", 1.0)])
 def test_numbers_under_each_others_headings_are_exchanged_as_they_were_recorded(unit, factor):
     """A column of degrees under the heading of a torque: its numbers are degrees, whatever unit was read."""
     made = run()
