@@ -22,8 +22,8 @@ def is_further(model: Model, path: Port, effect: Any) -> bool:
 
     One that reads by how much the input is above the port's own signal asks for that. One in proportion to the input
     asks that the input was recorded and acts on nothing; or that it has the unit of what acts there, or acts at other
-    ports of that unit (the sun by an area on the air, and so on the floor), and that it does not act there alone, where
-    that would be a wrong gain of it.
+    ports of that unit by a constant (the sun by an area on the air, and so on the floor), and that it does not act
+    there alone, where that would be a wrong gain of it.
     """
     if "link" in effect.attaches or "pipe" in effect.attaches:
         return "difference" in path.signals
@@ -44,11 +44,17 @@ def is_further(model: Model, path: Port, effect: Any) -> bool:
     values = ca.vertcat(*[0.0 if one.name in missing else one.value for one in model.declarations])
     look = ca.Function("look", [*unknown, model.p], [ca.horzcat(by_input, by_slots)])
     rng = np.random.default_rng(0)
-    found = np.array(look(*(rng.uniform(0.5, 1.5, one.numel()) for one in unknown), values))
-    found /= np.maximum(np.linalg.norm(found, axis=0), 1e-300)
+    found, again = (
+        np.array(look(*(rng.uniform(0.5, 1.5, one.numel()) for one in unknown), values)) for _ in range(2)
+    )
+    size = np.maximum(np.linalg.norm(found, axis=0), 1e-300)
+    found, again = found / size, again / size
     if read_unit(path.units["input"]).exponents != acts:
         left = found[:, 0] - found[:, 1:] @ np.linalg.lstsq(found[:, 1:], found[:, 0], rcond=None)[0]
-        if not found[:, 0].any() or np.linalg.norm(left) > _ALIKE:
+        levers = (
+            np.abs(again[:, 0] - found[:, 0]).max() > _ALIKE
+        )  # as a pressure by a crank: no share of it elsewhere
+        if not found[:, 0].any() or levers or np.linalg.norm(left) > _ALIKE:
             return False
     return bool(np.linalg.matrix_rank(found[:, :2], tol=_ALIKE) > 1)
 
