@@ -23,7 +23,7 @@ from casadi_engine.discrepancy.answer_words import (
     without_answer,
 )
 from casadi_engine.discrepancy.by_chance import held_to_chance
-from casadi_engine.discrepancy.by_member import told_by_member
+from casadi_engine.discrepancy.by_member import told_by_member, told_by_priors
 from casadi_engine.discrepancy.certificate import (
     as_untried,
     class_matrix,
@@ -170,6 +170,7 @@ class Answer:
         verdict = _verdict(found, claim.unknown)
         pool = {key: one.arrived.values for key, one in self.search.pool.items()}
         self.messages += told_by_member(found, key_of(last.effects), pool, last.fit)
+        self.messages += told_by_priors(found, key_of(last.effects), self.search.pool)
         self._say(null, last, proof)
         if claim.unknown is not None:  # which is said in its own place
             self.messages[:] = [words for words in self.messages if words != claim.unknown.sentence]

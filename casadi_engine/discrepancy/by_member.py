@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from casadi_engine.discrepancy.repaired import FoundEffect, Member
 from casadi_engine.discrepancy.wording import si
@@ -13,6 +14,8 @@ from casadi_engine.estimation.fit import Fit
 Key = frozenset[tuple[str, str]]
 # Standard errors by which a value has to be another one to be told, and how many of them are.
 _APART, _TOLD = 2.0, 4
+# Change of chi-squared, and of the log probability of fresh data, that tells nothing.
+_SAME = 0.5
 
 
 def told_by_member(
@@ -40,6 +43,30 @@ def told_by_member(
             names = ", ".join(f"{name} is {text}" for _, name, text in off[:_TOLD])
             more = f", and {len(off) - _TOLD} more are others" if len(off) > _TOLD else ""
             said.append(f"values and ± hold only for the names that lead: {words} {names}{more}")
+    return said
+
+
+def told_by_priors(found: Sequence[FoundEffect], key: Key, pool: Mapping[Key, Any]) -> list[str]:
+    """A sentence for each effect of which another one does the same to all data: their odds are no finding.
+
+    pool : structure -> what its refit left
+    """
+    lead, said = pool.get(key), []
+    for one in found:
+        alike = []
+        for member in one.members[1:]:
+            there = _in_place(key, one, member)
+            other = None if there is None else pool.get(there)
+            if lead is None or other is None:
+                continue
+            apart = abs(other.evidence.cost - lead.evidence.cost), abs(other.fresh - lead.fresh)
+            if max(apart) < _SAME:
+                alike.append(member.label)
+        if alike:
+            said.append(
+                f"{one.name} at {one.at} and {' and '.join(alike)} explain all data alike: their probabilities are "
+                "those that they had before the data, by their sizes"
+            )
     return said
 
 

@@ -12,7 +12,7 @@ from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, is_car
 from casadi_engine.discrepancy.clocks import Clock, clock_of
 from casadi_engine.discrepancy.common_noise import BESIDE
 from casadi_engine.discrepancy.confirmation import share_closed
-from casadi_engine.discrepancy.elsewhere_families import DROP, same_parameters
+from casadi_engine.discrepancy.elsewhere_families import DROP, SHOWN, same_parameters
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh import gap_of, told_by_both
 from casadi_engine.discrepancy.latent_torque import LatentTorque
@@ -39,7 +39,7 @@ from casadi_engine.discrepancy.unknown_law import UnknownLaw
 from casadi_engine.discrepancy.wording import HOLDS
 from casadi_engine.effects import candidate as candidate_of
 from casadi_engine.estimation import Estimate, Fit
-from casadi_engine.model import Model
+from casadi_engine.model import Model, Port
 
 # Candidates drawn in the class matrix.
 _MATRIX = 24
@@ -327,6 +327,8 @@ def law_words(model: Model, family: Family) -> str:
         if what.startswith(DROP) and what not in port.signals:
             ends = model.ports[what.removeprefix(DROP)].ends
             what = f"the difference between {' and '.join(ends)}"
+        if what.startswith(SHOWN) and what not in port.signals:
+            what = _shown_words(model.ports[what.removeprefix(SHOWN)])
         return f"the parameter {port.parameter}{same} is not constant: it depends on {what}"
     where = f"between {' and '.join(port.ends)}" if port.ends else f"at {family.port}"
     acts = f"an unknown {port.quantity} {where}"
@@ -338,6 +340,13 @@ def law_words(model: Model, family: Family) -> str:
     named = port.is_mechanical and family.signal != TIME
     own = "place, its speed added up" if family.signal == PLACE else port.called(family.signal)
     return f"{acts} that depends on {'its ' if named else ''}{own}"
+
+
+def _shown_words(port: Port) -> str:
+    """What a port shows first, in words."""
+    first = next(iter(port.signals))
+    said = port.called(first)
+    return f"the {said} of {port.name}" if said == first.replace("_", " ") else said
 
 
 def _alike(model: Model, family: Family) -> list[str]:

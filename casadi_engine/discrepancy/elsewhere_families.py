@@ -37,8 +37,8 @@ _LOOK, _TERMS, _KEPT = 3, 6, 8
 # Chi-squared below which a function does no more than its constant: chance makes as much of its other terms in one
 # of 20.
 _CONSTANT = 6.0
-# What the name of a difference between two ports begins with.
-DROP = "difference_at_"
+# What the name of a difference between two ports, and of what a port shows of several states and inputs, begins with.
+DROP, SHOWN = "difference_at_", "shown_at_"
 # Numbers that are one but for rounding.
 _ALIKE = 1e-9
 # Numbers of the terms of functions that are looked at together.
@@ -72,8 +72,9 @@ def functions_of(null: NullModel, port: str, signal: str) -> tuple[list[Candidat
 
 
 def _places(null: NullModel) -> list[tuple[Port, Signal]]:
-    """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter, and the
-    difference across it, at a sensor time and the inputs that no equation uses, and at the other inputs these."""
+    """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter, the
+    difference across it and what ports show of several states, at a sensor time and the inputs that no equation uses,
+    and at the other inputs these."""
     model = null.model
     # a state of an effect that may be withdrawn is none that a law is told by
     lent = tuple(f"{one.at}_{one.effect.name}_" for one in model.effects)
@@ -88,8 +89,10 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
         if port.kind == "parameter" and "." not in port.parameter and _acts(model, port):
             at_ports = _said_at_ports(model, port, every)
             found += [(port, signal) for name, signal in made.items() if name not in at_ports]
-            drops = drops_of(model, port).items()
-            found += [(port, Signal(name, drop, along(null, drop))) for name, drop in drops]
+            more = drops_of(model, port) | {
+                n: s for n, s in shown_at_ports(model).items() if n not in at_ports
+            }
+            found += [(port, Signal(name, one, along(null, one))) for name, one in more.items()]
         elif port.kind == "sensor":
             found += [(port, made[name]) for name in (TIME, *unused)]
         elif port.kind == "input" and port.name.removeprefix("input_") not in unused:
@@ -117,6 +120,17 @@ def drops_of(model: Model, port: Port) -> dict[str, ca.SX]:
     return found
 
 
+def shown_at_ports(model: Model) -> dict[str, ca.SX]:
+    """What a port shows first, where that is made of several states and inputs: a temperature above that of the room,
+    of which a parameter may be a function as well as of the state alone."""
+    moving, found = ca.vertcat(model.x, model.u), dict[str, tuple[str, ca.SX]]()
+    for port in model.ports.with_slot:
+        signal = next(iter(port.signals.values()), None)
+        if signal is not None and len(_names(signal, moving)) > 1 and not ca.depends_on(signal, model.t):
+            found.setdefault(str(signal), (f"{SHOWN}{port.name}", signal))
+    return dict(found.values())
+
+
 def _names(expression: ca.SX, moving: ca.SX) -> set[str]:
     """Of the moving symbols that an expression has."""
     return {symbol.name() for symbol in ca.symvar(moving) if ca.depends_on(expression, symbol)}
@@ -137,8 +151,7 @@ def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.
     one = ca.SX(ca.vertcat(1, 0))
     moved = _rates(model, parameter, one)
     known = ca.vertcat(*[symbol for _, symbol in every])
-    rng = np.random.default_rng(0)
-    found = set()
+    rng, found, shown = np.random.default_rng(0), set[str](), shown_at_ports(model)
     for port in model.ports.with_slot:
         acts = _rates(model, port, one)
         if moved is None or acts is None:
@@ -146,17 +159,19 @@ def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.
         size = ca.sumsqr(acts)
         ratio = ca.dot(acts, moved) / size
         rest = ca.sumsqr(moved - ratio * acts)
-        symbols = ca.symvar(ca.vertcat(ratio, rest, moved, known))
-        look = ca.Function(
-            "look", [ca.vertcat(*symbols)], [rest, ca.sumsqr(moved), ca.jacobian(ratio, known)]
-        )
-        left, whole, slope = look(rng.uniform(0.5, 1.5, len(symbols)))
-        if not float(left) <= _ALIKE * float(whole):
+        own = ca.vertcat(*port.signals.values())
+        symbols = ca.symvar(ca.vertcat(ratio, rest, moved, known, own))
+        turned = [ca.jacobian(ratio, known), ca.jacobian(own, known)]
+        look = ca.Function("look", [ca.vertcat(*symbols)], [rest, ca.sumsqr(moved), *turned])
+        left, whole, slope, turn = (np.array(each) for each in look(rng.uniform(0.5, 1.5, len(symbols))))
+        if not left[0, 0] <= _ALIKE * whole[0, 0]:
             continue
-        needs = {name for (name, _), s in zip(every, slope.full().ravel(), strict=True) if abs(s) > _ALIKE}
-        own = {name for name, symbol in every if _is_known(symbol, list(port.signals.values()))}
+        if np.linalg.matrix_rank(np.vstack([slope, turn[:1]]), tol=_ALIKE) <= 1:  # a function of that alone
+            found |= {name for name, signal in shown.items() if ca.is_equal(signal, own[0], 2)}
+        needs = {name for (name, _), s in zip(every, slope.ravel(), strict=True) if abs(s) > _ALIKE}
+        told = {name for name, symbol in every if _is_known(symbol, list(port.signals.values()))}
         if len(needs) <= 1:
-            found |= (needs or own) & own
+            found |= (needs or told) & told
     return found
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_engine.discrepancy.elsewhere_families import DROP, drops_of
+from casadi_engine.discrepancy.elsewhere_families import DROP, SHOWN, drops_of, shown_at_ports
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.random_families import TIME, Family, smooth_family, terms_at
@@ -117,6 +117,7 @@ def setups_elsewhere(refits: Refits, tried: Tried, family: Family) -> list[Setup
         return []
     port = plain.ports[family.port]
     known |= drops_of(plain, port) if family.signal.startswith(DROP) else {}
+    known |= shown_at_ports(plain) if family.signal.startswith(SHOWN) else {}
     if family.signal not in known:
         return []
     symbol = known[family.signal]
@@ -176,10 +177,11 @@ def _attached(refits: Refits, tried: Tried, family: Family, size: float, model: 
     if _PLACE in effect.nuisance:
         place = wider.p[wider.parameter_names.index(f"{family.port}.{effect.name}.{_PLACE}")]
         signal = model.ports[family.port].signals[family.signal]
-        if ca.depends_on(signal, model.u):  # the equations see an input as a drive
-            drive = ca.SX.sym(f"{family.port}_{family.signal}")
-            wider = with_drive(wider, drive, signal, family.name)
-            signal = drive
+        for k, one in enumerate(model.inputs):  # which the equations see as a drive
+            if ca.depends_on(signal, model.u[k]):
+                drive = ca.SX.sym(f"{family.port}_{family.signal}_{one.name}")
+                wider = with_drive(wider, drive, model.u[k], family.name)
+                signal = ca.substitute(signal, model.u[k], drive)
         wider = replaced(wider, place, signal)
     terms = tuple(f"{family.port}.{effect.name}.c{k}" for k in range(len(family.variances)))
     parameters = refits.refitter.parameters_of(model, tried.effects).unconstrained().extended(wider)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from casadi_engine.discrepancy.by_member import told_by_member
+from casadi_engine.discrepancy.by_member import told_by_member, told_by_priors
 from casadi_engine.discrepancy.repaired import Member
 
 GAIN, RESISTANCE, OTHER = ("sensor_gain", "i"), ("wrong_value", "Re"), ("load_step", "coil")
@@ -60,3 +60,20 @@ def test_nothing_is_said_of_what_is_alike_or_not_known(more):
     members = [found(Member(*RESISTANCE, 1.0, 0.5, more))]
     assert told_by_member(members, frozenset({GAIN}), values, fit(M=(1.0, 0.1))) == []
     assert told_by_member(members, frozenset({OTHER}), values, fit(M=(1.0, 0.1))) == []
+
+
+def left(cost, fresh=0.0):
+    return SimpleNamespace(evidence=SimpleNamespace(cost=cost), fresh=fresh)
+
+
+@pytest.mark.parametrize(
+    ("cost", "fresh", "told"), [(1000.1, 0.0, True), (1004.0, 0.0, False), (1000.0, -3.0, False)]
+)
+def test_odds_that_no_data_made_are_said_to_be_none_of_theirs(cost, fresh, told):
+    """A lag of a sensor was 99 %, and the storage that does exactly the same 1 %, by what may be large before data."""
+    pool = {frozenset({GAIN}): left(1000.0), frozenset({RESISTANCE}): left(cost, fresh)}
+    said = told_by_priors([found(Member(*RESISTANCE, 1.0, 0.01))], frozenset({GAIN}), pool)
+    assert bool(said) is told
+    if told:
+        assert said[0].startswith("sensor_gain at i and wrong_value at Re explain all data alike")
+    assert told_by_priors([found()], frozenset({GAIN}), pool) == []

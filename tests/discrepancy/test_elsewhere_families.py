@@ -239,3 +239,33 @@ def test_a_parameter_may_depend_on_the_drop_that_its_term_has_beside_an_input():
     # a law between both does what any function of the drop does
     plain = reaches(gated=False)
     assert module.drops_of(plain, plain.ports["parameter_k"]) == {}
+
+
+def winding(extra=0):
+    """A motor whose winding is heated by its current, in a room of a recorded temperature."""
+    b = ce.Blueprint("bike")
+    v, t = b.state("v", unit="m/s"), b.state("Tw", unit="K")
+    i, room = b.input("i", unit="A"), b.input("Ta", unit="K")
+    kt, g = b.parameter("kt", 7.0, unit="N/A", min=0.1), b.parameter("G", 3.0, unit="W/K", min=0)
+    road = b.port("road", "inertia", {"speed": v})
+    at = b.port("winding", "inertia", {"speed": t - room})
+    again = b.port("case", "inertia", {"speed": t - room}) if extra else 0
+    b.ode("v", (kt * i - 6 * v + road) / 95)
+    b.ode("Tw", (0.25 * i * i - g * (t - room) + at + again) / 900)
+    b.output("v", v, unit="m/s")
+    b.output("Tw", t, unit="K")
+    return b.model()
+
+
+def test_a_parameter_may_depend_on_what_a_port_shows_of_several_states():
+    """A motor constant that falls with how warm the winding is was "not constant: it depends on time"."""
+    model = winding()
+    assert list(module.shown_at_ports(model)) == ["shown_at_winding"]
+    assert list(module.shown_at_ports(winding(1))) == ["shown_at_winding"]  # the same once
+    every = [*((s.name, model.x[k]) for k, s in enumerate(model.states)),
+             *((u.name, model.u[k]) for k, u in enumerate(model.inputs))]  # fmt: skip
+    # a loss of the winding by it is a function at the port; the motor's constant is none
+    assert "shown_at_winding" in module._said_at_ports(model, model.ports["parameter_G"], every)
+    assert "shown_at_winding" not in module._said_at_ports(model, model.ports["parameter_kt"], every)
+    family = module.smooth_family("parameter_kt", "shown_at_winding", np.array([0.0, 1.0]))
+    assert law_words(model, family) == "the parameter kt is not constant: it depends on Tw - Ta"
