@@ -161,7 +161,10 @@ def unknown_law(
     own = {name for name in null.parameters if any(name.startswith(f"{one.key}.") for one in effects)}
     # What the effects alone drive to a bound leaves it where they go.
     others = held & refits.pool[frozenset()].arrived.held - own
-    bare = without_effects(null, [one.amplitude for one in effects], own)
+    bare, here = without_effects(null, [one.amplitude for one in effects], own), null
+    if bare is None:  # an amplitude is not free: along the motion that the model has without them
+        bare = refits.null(refits.pool[frozenset()])
+        here = null if bare is None else bare
     if bare is None or not math.isfinite(named.log):
         return None
     none = refits.pool[frozenset()].evidence.cost + (0.0 if along is None else along.without)
@@ -170,7 +173,7 @@ def unknown_law(
         return None
     # a function of an input that acts by these effects alone has them as its special case, and is no rival
     idle = {f"input_{name}" for name in refits.refitter.model.idle_inputs} if effects else set()
-    found, columns = _functions(null, bare, refits.levels, everywhere, idle, (priors, others, random))
+    found, columns = _functions(here, bare, refits.levels, everywhere, idle, (priors, others, random))
     for one in found:
         one.log -= named.log
     if not found:
@@ -188,7 +191,7 @@ def unknown_law(
     port = best.family.port
     further_by = -math.inf
     bends = [one for one in effects if one.candidate.port == port and one.is_law]
-    if not any(not depends_on_more(one, best.family.signal) for one in bends):  # else to a part of it
+    if here is null and not any(not depends_on_more(one, best.family.signal) for one in bends):  # else to a part of it
         both = counted_with(beside_it(null, columns[best.family.name]), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
     several = len(effects) > 1
