@@ -85,14 +85,7 @@ def misread(
     records = fit.data if data is None else tuple(data)
     ways = readings(fit.model, records, every=every)
     job = _Readings(fit.model, records, parameters, noise, options, len(ways) if every else _TRIED)
-    if (sensors := _sensors(fit, poor)) is not None:
-        outputs = {out.name for out in fit.model.outputs}
-        ways = [
-            one for one in ways
-            if (one.what == "output" and sensors.issuperset(one.names))
-            or (one.what == "exchange" and outputs.issuperset(one.names) and sensors.intersection(one.names))
-        ]  # fmt: skip
-    found = job.good(ways, work, lambda shares: min(shares.values(), default=0.0) >= _GOOD)
+    found = job.good(_of_sensors(fit, poor, ways), work, _is_good) or job.good(ways, work, _is_good)
     if found:
         before = _listed(followed(fit))
         words = f"{_told(found, 'the fit')}. As the records are, no fit explains more than {before}"
@@ -158,6 +151,22 @@ def unexplained(fit: Fit, *, every: bool = False) -> dict[str, float]:
     bound = any(fit.estimates[name].at_bound for name in fit.free if name in fit.estimates)
     limit = FOLLOWED if bound or every else _NOTHING
     return {name: share for name, share in followed(fit).items() if share <= limit}
+
+
+def _is_good(shares: Mapping[str, float]) -> bool:
+    return min(shares.values(), default=0.0) >= _GOOD
+
+
+def _of_sensors(fit: Fit, poor: Mapping[str, float], ways: Sequence[Reading]) -> list[Reading]:
+    """The ways to read that are asked first, where sensors alone seem to be read wrong; none elsewhere."""
+    sensors, outputs = _sensors(fit, poor), {out.name for out in fit.model.outputs}
+    if sensors is None:
+        return []
+    return [
+        one for one in ways
+        if (one.what == "output" and sensors.issuperset(one.names))
+        or (one.what in ("exchange", "numbers") and outputs.issuperset(one.names) and sensors.intersection(one.names))
+    ]  # fmt: skip
 
 
 def _sensors(fit: Fit, poor: Mapping[str, float]) -> set[str] | None:

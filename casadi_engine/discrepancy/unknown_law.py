@@ -191,7 +191,9 @@ def unknown_law(
     port = best.family.port
     further_by = -math.inf
     bends = [one for one in effects if one.candidate.port == port and one.is_law]
-    if here is null and not any(not depends_on_more(one, best.family.signal) for one in bends):  # else to a part of it
+    if here is null and not any(
+        not depends_on_more(one, best.family.signal) for one in bends
+    ):  # else to a part of it
         both = counted_with(beside_it(null, columns[best.family.name]), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
     several = len(effects) > 1

@@ -135,12 +135,12 @@ def _exchanged(channels: Sequence[Variable]) -> Iterator[Reading]:
 
 
 def _across(inputs: Sequence[Variable], outputs: Sequence[Variable]) -> Iterator[Reading]:
-    """An input and another channel of a different unit under each other's heading."""
-    pairs = [*((one, other) for one in inputs for other in outputs), *combinations(inputs, 2)]
-    pairs = [pair for pair in pairs if not _of_one_kind(*pair)]
-    for one, other in pairs[:_CHANNELS]:
-        words = f"the numbers of {one.name} and {other.name} exchanged"
-        yield Reading("numbers", (one.name, other.name), words, "look which column is which")
+    """Two channels of different units under each other's heading."""
+    crossed = [(one, other) for one in inputs for other in outputs]
+    for pairs in (crossed, list(combinations(inputs, 2)), list(combinations(outputs, 2))):
+        for one, other in [pair for pair in pairs if not _of_one_kind(*pair)][:_CHANNELS]:
+            words = f"the numbers of {one.name} and {other.name} exchanged"
+            yield Reading("numbers", (one.name, other.name), words, "look which column is which")
 
 
 def _of_one_kind(one: Variable, other: Variable) -> bool:

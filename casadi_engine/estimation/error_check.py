@@ -337,7 +337,7 @@ class _Around:
             low, high = (FAR**2 * rise for rise in rises)
             text = (
                 f"the likelihood is not quadratic along {names}: {FAR:g} standard errors away chi-squared rises by "
-                f"{low:.2g} and {high:.2g}, not by {FAR**2:g}"
+                f"{max(low, 0.0):.2g} and {max(high, 0.0):.2g}, not by {FAR**2:g}"
                 if uneven
                 else f"the outputs bend along {names} within the errors "
                 f"(curvature {curvature:.2g}, flat below {FLAT:g})"
