@@ -265,7 +265,8 @@ class FreshChoice:
             one, screened = last.effects[-1], base.screened
             weak = last.lead is not None and screened.pooled(last.lead) >= CHANCE * screened.alpha
             part, after = self._on_fresh(base), self._on_fresh(last)
-            more = unknown_of(last.screened) is not None or self._misfit(last, after) > 1
+            # errors of parameters do not excuse it here: those of a doubtful effect are as large as it is vague
+            more = unknown_of(last.screened) is not None or self._misfit(last, after, excused=False) > 1
             if (not weak and not more) or part is None or after is None:
                 break
             judged = self._judged(part, after, last)
@@ -312,9 +313,9 @@ class FreshChoice:
             return False
         return does_more(self.search.refits, tried, last.effects[-1], unknown.port, unknown.signal)
 
-    def _misfit(self, station: Station, pairs: Pairs | None) -> float:
+    def _misfit(self, station: Station, pairs: Pairs | None, *, excused: bool = True) -> float:
         """Chi-squared per sample of the fresh data, over that of the noise or of the search, where it is beyond chance
-        and beyond what errors of the parameters do, and no louder noise; else 1."""
+        and no louder noise; else 1. excused : beyond what errors of the parameters do, too"""
         noise = station.screened.noise
         if not pairs or noise.scatter:
             return 1.0
@@ -327,6 +328,8 @@ class FreshChoice:
         whole = ratio(fresh.chi2_per_sample)
         if whole == 1.0:
             return whole
+        if not excused:
+            return 1.0 if self._is_noise(station, pairs, whole) else whole
         try:
             with np.errstate(all="ignore"):
                 nulls = [doubted(station.fit, held) for held, _ in pairs]
