@@ -22,6 +22,7 @@ from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.integration import SHIFT, shorten_steps
 from casadi_engine.estimation.options import interval_length
 from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.share_noise import share_noises
 from casadi_engine.estimation.starts import chained_nodes
 from casadi_engine.experiment import Experiment
 from casadi_engine.parameters import compile
@@ -47,7 +48,8 @@ class Band:
 
     time [s]; value : simulated; stderr : standard error of the value
     low, high : the 95 % band of what the model would give without errors of parameters and initial states
-    low_noise, high_noise : the 95 % band of a new measurement, with the noise of the fit; sigma : of that noise
+    low_noise, high_noise : the 95 % band of a new measurement, with the noise of the fit; sigma : of that noise, in the
+        mean where it is a share of what the output shows
     """
 
     time: Array
@@ -166,14 +168,14 @@ def with_band(
             "low": value - root * spread,
             "high": value + root * spread,
         }
-        wide = root * np.hypot(spread, around.sigma[:, None])
+        wide = root * np.hypot(spread, around.noise(value))
         parts |= {"low_noise": value - wide, "high_noise": value + wide}
         count, runs = 0, {}
     else:
         drawn = around.drawn(model.draws)
         count, beyond = len(drawn), (1 - LEVEL) / 2
         runs = {name: drawn[:, k] for k, name in enumerate(outputs)}
-        noise = np.random.default_rng(0).standard_normal(drawn.shape) * around.sigma[:, None]
+        noise = np.random.default_rng(0).standard_normal(drawn.shape) * around.noise(drawn)
         parts = {"value": np.median(drawn, axis=0), "stderr": drawn.std(axis=0, ddof=1)}
         parts["low"], parts["high"] = np.quantile(drawn, [beyond, 1 - beyond], axis=0)
         parts["low_noise"], parts["high_noise"] = np.quantile(drawn + noise, [beyond, 1 - beyond], axis=0)
@@ -219,6 +221,7 @@ class _Record:
         )
         self.record.set_sigma(np.ones(len(self.outputs)))
         self.sigma = np.array([fit.noise.get(name, (np.nan, False))[0] for name in self.outputs])
+        self.shares = share_noises(fit)
         # outputs are integrated to a share of this
         self._least = float(np.nanmin(self.sigma, initial=np.inf))
         free = [isinstance(initial[s.name], Estimate) and not initial[s.name].fixed for s in model.states]
@@ -241,11 +244,22 @@ class _Record:
             known_grid = lay_grid(model, own_record, outputs=self.outputs)
             self.told = _Record(fit, own_record, known_grid, initial, method)
         lost = [name for k, name in enumerate(self.pmap.free) if k not in here]
+        said = [f"the error of {', '.join(lost)} is not in the band: the fit has none for this record"]
         self.messages = (
-            (f"the error of {', '.join(lost)} is not in the band: the fit has none for this record",)
-            if lost
-            else ()
+            *(said if lost else ()),
+            *(
+                f"the noise of {name} is about {100 * one.share:.2g} % of what it shows, and so is the band with noise"
+                for name, one in self.shares.items()
+            ),
         )
+
+    def noise(self, shown: Array) -> Array:
+        """Standard deviations (..., ny, N) of the noise where the outputs show this."""
+        found = np.broadcast_to(self.sigma[:, None], shown.shape).copy()
+        for k, name in enumerate(self.outputs):
+            if name in self.shares:
+                found[..., k, :] = self.shares[name].at(shown[..., k, :])
+        return found
 
     def _measured(self, data: Experiment, time: Array) -> list[tuple[int, NDArray[np.intp], Array]]:
         """Number of the output, points of the simulation and values of what was measured there."""

@@ -44,7 +44,7 @@ _HIDDEN, _DRAWS = 0.5, 100
 _SAMPLES, _FEWEST = 10_000_000, 20
 # Chance below which noise is taken to be of one size; share of the largest value below which an instrument's error is
 # no share of what it shows.
-_UNLIKELY, _FLOOR = 0.05, 0.02
+_UNLIKELY, FLOOR = 0.05, 0.02
 # Size of a residual, in its level, below which errors that count with the level are larger than any it may ask for.
 _LOUD = 0.5
 # Share of a sample's own residual that estimates may take at most, for what is left to tell its size; beyond which it
@@ -136,7 +136,7 @@ def _signs_of(r: Array, shown: Array, time: Array, taken: Array | None) -> _Sign
     best, price = max(by_size, by_time), math.log(2 * len(r))
     return _Signs(
         best - price,
-        _as_a_share(r, shown, taken),
+        as_a_share(r, shown, taken),
         by_size >= by_time,
         float(chi2_sf(2 * best, 2)) < _RARE / 2,
     )
@@ -240,7 +240,7 @@ def _gain_of(r: Array, course: Array, taken: Array | None = None) -> float:
     return gain / tails if gain > _NOTHING else 0.0
 
 
-def _as_a_share(r: Array, shown: Array, taken: Array | None = None) -> float:
+def as_a_share(r: Array, shown: Array, taken: Array | None = None) -> float:
     """Logarithm of the likelihood of noise (n,) that is a share of what an output shows over that of one size.
 
     taken : as for a course
@@ -260,7 +260,7 @@ def _as_a_share(r: Array, shown: Array, taken: Array | None = None) -> float:
 
 
 def _floored(size: Array) -> Array:
-    return np.maximum(size, _FLOOR * size.max())
+    return np.maximum(size, FLOOR * size.max())
 
 
 def _variances(squares: Array, weight: Array, course: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from casadi_engine.errors import PosteriorError
 from casadi_engine.estimation import Fit, Prediction
 from casadi_engine.estimation.options import check_level, whole
 from casadi_engine.estimation.prediction import DRAWS
+from casadi_engine.estimation.share_noise import ShareNoise, share_noises
 from casadi_engine.estimation.simulate import simulate
 from casadi_engine.experiment import Experiment
 from casadi_engine.model.arrival import arriving
@@ -33,7 +34,7 @@ class Predictive:
     runs : output -> (draws, N) simulated, in the output's unit
     sigma : output -> (draws,) standard deviation of the noise
     measured : output -> (N,) where it was measured, else absent
-    units : output -> its unit
+    units : output -> its unit; shares : output -> its noise, of those of which it is a share of what they show
     """
 
     record: str
@@ -42,6 +43,7 @@ class Predictive:
     sigma: Mapping[str, Array]
     measured: Mapping[str, Array]
     units: Mapping[str, str]
+    shares: Mapping[str, ShareNoise] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """How wide the bands are, and how much of what was measured lies in those with noise."""
@@ -82,7 +84,8 @@ class Predictive:
         sigma = np.resize(self.sigma[output], len(several))
         ends = np.empty((2, runs.shape[1]))
         for at in range(runs.shape[1]):  # one instant at a time: records are long
-            noisy = several[:, at] + sigma * random.standard_normal(len(several))
+            wide = self.shares[output].at(several[:, at]) if output in self.shares else sigma
+            noisy = several[:, at] + wide * random.standard_normal(len(several))
             ends[:, at] = np.quantile(noisy, [(1 - level) / 2, (1 + level) / 2])
         return ends[0], ends[1]
 
@@ -140,4 +143,4 @@ def predictive(
         if (own := f"sigma({name})") in post.names
     }
     units = {out.name: out.unit for out in outputs}
-    return Predictive(record.name, time, found.runs, levels, measured, units)
+    return Predictive(record.name, time, found.runs, levels, measured, units, share_noises(post.fit))

@@ -198,7 +198,7 @@ def test_outputs_of_a_record_tell_together_whether_noise_is_of_one_size():
 
 def test_noise_that_is_a_share_has_a_likelihood_of_its_own():
     rng, shown = np.random.default_rng(4), np.geomspace(0.1, 10, 40)
-    assert varied._as_a_share(0.05 * shown * rng.standard_normal(40), shown) > 10
-    assert varied._as_a_share(0.05 * rng.standard_normal(40), shown) < -10
-    assert varied._as_a_share(np.zeros(40), shown) == -np.inf
-    assert varied._as_a_share(rng.standard_normal(40), np.zeros(40)) == -np.inf
+    assert varied.as_a_share(0.05 * shown * rng.standard_normal(40), shown) > 10
+    assert varied.as_a_share(0.05 * rng.standard_normal(40), shown) < -10
+    assert varied.as_a_share(np.zeros(40), shown) == -np.inf
+    assert varied.as_a_share(rng.standard_normal(40), np.zeros(40)) == -np.inf
