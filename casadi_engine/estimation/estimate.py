@@ -25,7 +25,7 @@ from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.late_sensors import begun_late, follow_delays
 from casadi_engine.estimation.loss import read_loss
-from casadi_engine.estimation.lower_optimum import from_lower_places
+from casadi_engine.estimation.lower_optimum import from_lower_places, merit
 from casadi_engine.estimation.lower_rate import ONE_SEARCH, lower_rate
 from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.multistart import attempts_from, distinct_optima, interrupted, settled
@@ -33,7 +33,7 @@ from casadi_engine.estimation.nothing_left import nothing_left
 from casadi_engine.estimation.options import begun_at, chosen, seconds_for_intervals, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Attempt, Search
-from casadi_engine.estimation.second_look import looked_at_twice
+from casadi_engine.estimation.second_look import LOWER, looked_at_twice
 from casadi_engine.estimation.short_intervals import short_enough
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.unused_parameters import held_if_unused
@@ -221,10 +221,16 @@ def _followed_up(
     how : starts, neighbours and when all began; alone : another verb asks for what else it needs
     """
 
-    def again(changed: dict[str, Any]) -> Fit:
+    def again(changed: dict[str, Any], **how_else: Any) -> Fit:
         changed = dict(changed)
         starts = changed.pop("starts", 1)
-        return run(arguments | changed, starts, 0, how[-1])
+        return run(arguments | changed, starts, 0, how[-1], **how_else)
+
+    def with_errors(found: Fit, changed: dict[str, Any]) -> Fit:
+        """A fit that was made without its errors; made anew where it is not met from its optimum."""
+        there = {"parameters": found.parameters, "warm": found, "approach": "direct"}
+        whole = again({"interval": found.options["interval"]} | there)
+        return whole if whole.converged and merit(whole) <= merit(found) + LOWER else again(changed)
 
     fit = from_wide_corners(lambda changed: run(arguments | changed, *how), again, arguments)
     fit = in_time(lambda: follow_delays(fit, arguments["parameters"], again), lambda: fit)
@@ -234,7 +240,8 @@ def _followed_up(
         return fit
     fit = in_time(lambda: _gone_on(fit, again), lambda: fit)
     fit = in_time(lambda: from_lower_places(fit, again), lambda: fit)
-    fit = in_time(lambda: looked_at_twice(fit, again), lambda: fit)
+    quick = partial(again, check=None)
+    fit = in_time(lambda: looked_at_twice(fit, quick, with_errors), lambda: fit)
     fit = in_time(lambda: told_from_their_bounds(fit, arguments["parameters"], again), lambda: fit)
     return replace(fit, messages=(*faults(fit), *fit.messages))
 

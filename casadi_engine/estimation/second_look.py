@@ -18,7 +18,7 @@ from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.lower_optimum import merit
 
 # Half of twice the log likelihood by which the second has to be better; seconds for it, and times those of the first.
-_LOWER, _SECONDS, _TIMES = 0.1, 2.0, 3.0
+LOWER, _SECONDS, _TIMES = 0.1, 2.0, 3.0
 # Seconds that a fit that is lost is worth at least: it is no answer, and one that went astray at once was quick.
 _WORTH = 20.0
 # Starts of a fit that is lost, and of one of a predictor that is far from its start.
@@ -39,13 +39,20 @@ def is_elsewhere(fit: Fit) -> bool:
     return False
 
 
-def looked_at_twice(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
+Again = Callable[[dict[str, Any]], Fit]
+
+
+def looked_at_twice(
+    fit: Fit, again: Again, with_errors: Callable[[Fit, dict[str, Any]], Fit] | None = None
+) -> Fit:
     """The fit, or a better one of another search: of a fit that is lost by predictions over short pieces first and then
     from other starts, of one that is far from its start over whole records, whose states leave fewer ways to an
     optimum.
 
-    again(changes) : makes a fit with changed arguments, or from several starts
+    again(changes) : makes a fit with changed arguments, or from several starts; with_errors(fit, changes) : the same
+    with its errors, which only one that is better is asked for; None where it has them
     """
+    kept = with_errors or (lambda found, _: found)
     plain = fit.options.get("approach") == "direct" and fit.options.get("starts") == 1
     short = ONE_STEP in fit.status  # of an optimum; what ran out of iterations was to take no more
     if not plain or not (fit.converged or short):
@@ -54,22 +61,25 @@ def looked_at_twice(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
         fit.innovations is not None
     ):  # process noise takes what a model does not follow: one start tells little
         far = fit.converged and is_elsewhere(fit)
-        return _another(fit, again, {"starts": _SEVERAL}, _SEVERAL, {}) if far else fit
+        return _another(fit, again, kept, {"starts": _SEVERAL}, _SEVERAL, {}) if far else fit
     if lost(fit):
-        found = _another(fit, again, {"approach": "prediction"}, _TIMES, {"approach": BOTH}, _WORTH)
+        found = _another(fit, again, kept, {"approach": "prediction"}, _TIMES, {"approach": BOTH}, _WORTH)
         searched = {OTHERS: _STARTS}
-        return _another(found, again, {"starts": _STARTS}, _TIMES, searched, _WORTH) if lost(found) else found
+        if not lost(found):
+            return found
+        return _another(found, again, kept, {"starts": _STARTS}, _TIMES, searched, _WORTH)
     if not fit.converged:
         return fit
     several = fit.options.get("interval") == "auto" and fit.model.linear is None and fit.nodes > len(fit.data)
     if several and is_elsewhere(fit):
-        return _another(fit, again, {"interval": "single", "warm": None}, 1.0, {})
+        return _another(fit, again, kept, {"interval": "single", "warm": None}, 1.0, {})
     return fit
 
 
 def _another(
     fit: Fit,
-    again: Callable[[dict[str, Any]], Fit],
+    again: Again,
+    kept: Callable[[Fit, dict[str, Any]], Fit],
     changes: dict[str, Any],
     times: float,
     said: dict[str, Any],
@@ -90,6 +100,6 @@ def _another(
         return replace(fit, messages=(*fit.messages, words)) if lost(fit) else fit
     except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):  # there is a fit
         return fit
-    better = found.converged and (not fit.converged or merit(found) < merit(fit) - _LOWER)
-    best = found if better else fit
+    better = found.converged and (not fit.converged or merit(found) < merit(fit) - LOWER)
+    best = kept(found, changes) if better else fit
     return replace(best, options={**best.options, **said})

@@ -254,7 +254,7 @@ def test_errors_of_a_higher_optimum_are_taken_back(monkeypatch):
     """Where the search from the lower place leads nowhere."""
     module = sys.modules["casadi_engine.estimation.estimate"]
     for name in ("from_lower_places", "looked_at_twice"):
-        monkeypatch.setattr(module, name, lambda fit, _: fit)
+        monkeypatch.setattr(module, name, lambda fit, *_: fit)
     size = np.sqrt((TIME**2).sum())
     data = ce.Experiment.from_arrays("r", time=TIME, units={"y1": "1", "y2": "1"}, y1=TIME, y2=0.3 * TIME)
     noise = ce.Noise(y1=size / np.sqrt(3.0), y2=size / np.sqrt(0.25))
