@@ -56,6 +56,7 @@ from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import ONE_STEP, OUT_OF_ITERATIONS
 from casadi_engine.estimation.options import as_number, whole
 from casadi_engine.estimation.parallel import checked_jobs
+from casadi_engine.estimation.second_look import over_whole_records
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.corners import with_rounded_jumps
@@ -408,6 +409,9 @@ class _Job:
         share = max(_NULL * self.deadline.left, _AT_LEAST)
         with Deadline(share, best=True) as own:
             fit = estimate(**given)
+            if fit.converged and fit.innovations is None:  # as a fit by itself is looked at
+                alone = given | {"starts": 1, "neighbours": 0, "jobs": 1}
+                fit = over_whole_records(fit, lambda changed: estimate(**(alone | changed)))
             # as its message tells a person to, who may have wanted no more than so many
             if ONE_STEP in fit.status or (fit.status == OUT_OF_ITERATIONS and self.patient):
                 more = options | {"max_iterations": _FURTHER * options["max_iterations"]}

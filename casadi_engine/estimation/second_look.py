@@ -68,8 +68,13 @@ def looked_at_twice(
         if not lost(found):
             return found
         return _another(found, again, kept, {"starts": _STARTS}, _TIMES, searched, _WORTH)
-    if not fit.converged:
-        return fit
+    return over_whole_records(fit, again, kept) if fit.converged else fit
+
+
+def over_whole_records(
+    fit: Fit, again: Again, kept: Callable[[Fit, dict[str, Any]], Fit] = lambda found, _: found
+) -> Fit:
+    """The fit, or a better one whose states leave fewer ways to an optimum, of one that is far from its start."""
     several = fit.options.get("interval") == "auto" and fit.model.linear is None and fit.nodes > len(fit.data)
     if several and is_elsewhere(fit):
         return _another(fit, again, kept, {"interval": "single", "warm": None}, 1.0, {})

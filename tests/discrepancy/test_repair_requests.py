@@ -492,3 +492,29 @@ def test_initial_states_of_fresh_records_are_no_fault():
     assert of_data({"a": first, "b": first, "c": first}, portion) == {"a": first, "c": first}
     assert of_data(first, portion) is first
     assert of_data(None, portion) is None
+
+
+@pytest.mark.parametrize("effect", ["input_lag", "input_delay"])
+def test_one_effect_may_be_all_that_can_act(effect):
+    """Once an input acts late nothing more is to be tested: "none of these effects can act anywhere", and no answer."""
+    b = ce.Blueprint("pot")
+    capacity, loss = b.parameter("C", 1.2, unit="J/K", min=0.1), b.parameter("G", 2.2, unit="W/K", min=0)
+    t, q = b.state("T", unit="K"), b.input("Q", unit="W")
+    b.ode("T", (q - loss * t + b.port("pot", "inertia", {"speed": t})) / capacity)
+    b.output("seen", t, unit="K")
+    rng, time = np.random.default_rng(1), np.arange(300) * 0.05
+    heat = np.repeat(rng.choice([0.0, 1.0, 2.0, 3.0], 15), 20)
+    fine = np.repeat(heat, 10)  # held; in steps of a tenth of a sample
+    acts, y, share = np.zeros_like(fine), np.zeros_like(fine), 1 - np.exp(-0.005 / 0.15)
+    for k in range(1, len(fine)):
+        lagging = acts[k - 1] + (fine[k - 1] - acts[k - 1]) * share
+        acts[k] = fine[max(k - 30, 0)] if effect == "input_delay" else lagging
+        y[k] = acts[k - 1] / 2 + (y[k - 1] - acts[k - 1] / 2) * np.exp(-2 * 0.005)
+    seen = y[::10] + 0.01 * rng.standard_normal(300)
+    data = ce.Experiment.from_arrays(
+        "a", time=time, units={"Q": "W", "seen": "K"}, hold={"Q": "zero"}, Q=heat, seen=seen
+    )
+    found = ce.repair(b.model(), data, effects=[effect], progress=False)
+    assert [one.key for one in found.effects] == [f"input_Q.{effect}"]
+    time_constant = found.effects[0].parameters[f"input_Q.{effect}.time"].value
+    assert time_constant == pytest.approx(0.15, abs=0.02)

@@ -13,7 +13,7 @@ from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.followed import lost
 from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.lower_optimum import merit
-from casadi_engine.estimation.second_look import BOTH, looked_at_twice
+from casadi_engine.estimation.second_look import BOTH, looked_at_twice, over_whole_records
 
 NOT_WHITE = ("the residual of r/y is not white (neighbours correlate by 0.9): the model lacks something",)
 
@@ -285,3 +285,13 @@ def test_a_governor_with_process_noise_is_found_beside_a_wrong_optimum():
     best = ce.estimate(b.model(), data, noise=noise, starts=8, errors="quadratic", progress=False)
     fit = ce.estimate(b.model(), data, noise=noise, progress=False)
     assert merit(fit) == pytest.approx(merit(best), abs=0.01)
+
+
+def test_a_fit_from_several_starts_is_looked_at_over_whole_records_too():
+    """A repair's fit without effects was at a bound, chi-squared 160 too high: "nothing is missing"."""
+    fit = Found(50.0, **AWAY | {"options": {**SEVERAL, "starts": 4}})
+    assert looked_at_twice(fit, None) is fit
+    found = over_whole_records(fit, lambda changed: Found(40.0 if changed["interval"] == "single" else 60.0))
+    assert found.cost == 40.0
+    near = Found(50.0, **AWAY | {"values": {"a": 1.1}})
+    assert over_whole_records(near, None) is near
