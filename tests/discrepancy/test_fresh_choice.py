@@ -40,7 +40,7 @@ def confirmed(monkeypatch, stations, says, *, missing=True, unfit=False, unseen=
     )
     monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: None if one.fit in lost else one.fit)
     monkeypatch.setattr(FreshChoice, "_judged", judged)
-    monkeypatch.setattr(FreshChoice, "_misfit", lambda self, one, pairs: 2.0 if unfit else 1.0)
+    monkeypatch.setattr(FreshChoice, "_misfit", lambda self, one, pairs, **_: 2.0 if unfit else 1.0)
     monkeypatch.setattr(
         FreshChoice, "_seen", lambda self, old, new, here: here.effects[-1].label not in unseen
     )
@@ -189,7 +189,7 @@ class Search:
 def shortened(monkeypatch, search, *, misfit, stand=1, seen=True):
     """The chosen structure after ``_shortened``, of which the first ``stand`` effects stand by themselves."""
     monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: one.fit)
-    monkeypatch.setattr(FreshChoice, "_misfit", lambda self, one, pairs: misfit)
+    monkeypatch.setattr(FreshChoice, "_misfit", lambda self, one, pairs, **_: misfit)
     monkeypatch.setattr(FreshChoice, "_seen", lambda self, old, new, here: seen)
     monkeypatch.setattr(FreshChoice, "_each_confirmed", lambda self, stations: stations[: stand + 1])
     monkeypatch.setattr(module, "unknown_of", lambda one: None)
@@ -285,7 +285,7 @@ def test_the_effects_that_would_be_left_out_in_the_end_are_told_to_the_search(mo
     monkeypatch.setattr(module, "unknown_of", lambda one: "something")
     monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: one.fit)
     monkeypatch.setattr(FreshChoice, "_judged", lambda self, old, new, here: Judgement(None, says["drag"]))
-    monkeypatch.setattr(FreshChoice, "_misfit", lambda self, one, pairs: 1.0)
+    monkeypatch.setattr(FreshChoice, "_misfit", lambda self, one, pairs, **_: 1.0)
     monkeypatch.setattr(FreshChoice, "_seen", lambda *_: True)
     null = stub(screened=stub(request=stub(blind=False)))
     search = stub(

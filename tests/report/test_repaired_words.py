@@ -38,7 +38,10 @@ def test_a_named_and_confirmed_effect(repaired):
         "the gap above the noise is closed."
     )
     assert lines[4] == "Without it the model had these wrong: J_load 0.1771, now 0.1700 ± 0.0020 kg m2."
-    assert lines[-1] == "Next: go on with repair.fit, the repaired model: print(repair.fit)."
+    assert lines[-1] == (
+        "Next: go on with repair.fit, the repaired model: print(repair.fit); its values count on what is fixed: r, L, "
+        "A_p, m_eq and 1 more."
+    )
     assert mood(repaired) == "good"
 
 
