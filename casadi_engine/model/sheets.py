@@ -29,16 +29,25 @@ def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], l
     idle = [row for row in range(laws.numel()) if row not in acting]
     no_torque = ca.SX.zeros(len(idle), 1)
 
+    # what acts in the place of a channel is another quantity, and has another symbol
+    acts, known = (
+        [_is_made_of_its_name(one.name, model.drive_expressions[k]) for k, one in enumerate(model.drives)],
+        model.d,
+    )
+    own = [f"{one.name}_acting" if made else one.name for one, made in zip(model.drives, acts, strict=True)]
+    named = ca.vertcat(ca.SX(0, 1), *[ca.SX.sym(name) for name in own])
+
     def without_idle(column: Any) -> Any:
-        return ca.substitute(column, model.w[idle], no_torque) if idle else column
+        column = ca.substitute(column, model.w[idle], no_torque) if idle else column
+        return ca.substitute(column, known, named) if any(acts) else column
 
     left = [style.derivative(variable.name) for variable in model.states]
     right = list(ca.vertsplit(without_idle(model.ode)))
     for row, drive in enumerate(model.drives):
         value = model.drive_expressions[row]
         if not (value.is_symbolic() and value.name() == drive.name):
-            remark, value = _of_its_own_name(style, drive.name, value, "acting")
-            left.append(style.symbol(drive.name) + remark)
+            _, value = _of_its_own_name(style, drive.name, value, "")
+            left.append(style.symbol(own[row]))
             right.append(value)
     for row in acting:
         left.append(style.symbol(model.w[row].name()))
@@ -64,12 +73,17 @@ def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], l
     return [*zip(left, written.texts, strict=True), *rates], list(written.shared)
 
 
+def _is_made_of_its_name(name: str, value: Any) -> bool:
+    """True of what is made of something of its own name, and is not that alone."""
+    return not value.is_symbolic() and any(one.name() == name for one in ca.symvar(value))
+
+
 def _of_its_own_name(style: Style, name: str, value: Any, words: str) -> tuple[str, Any]:
-    """A remark and a right side for what is made of something of its own name, such as a channel that acts by another
-    gain, ``T (acting) = T*(1 + gain)``: no symbol stands for two things. No remark for others."""
-    own = next((one for one in ca.symvar(value) if one.name() == name), None)
-    if own is None or value.is_symbolic():
+    """A remark and a right side for what is made of something of its own name, such as a sensor of another gain,
+    ``w (measured) = w*(1 + gain)``: no symbol stands for two things. No remark for others."""
+    if not _is_made_of_its_name(name, value):
         return "", value
+    own = next(one for one in ca.symvar(value) if one.name() == name)
     slope = ca.jacobian(value, own)
     is_gain = not ca.depends_on(slope, own) and ca.substitute(value, own, ca.SX(0)).is_zero()
     return style.remark(words), own * slope if is_gain else value

@@ -114,9 +114,12 @@ def test_what_is_made_of_its_own_name_is_told_from_it():
     def line(effect, at):
         return model.with_effect(effect, at=at).equations().splitlines()[1 if at == "input_T" else -1]
 
-    assert line(InputGain(), "input_T") == "T (acting) = T*(1 + input_T.input_gain.gain)"
+    assert line(InputGain(), "input_T") == "T_acting = T*(1 + input_T.input_gain.gain)"
+    assert (
+        model.with_effect(InputGain(), at="input_T").equations().splitlines()[0] == "d(w)/dt = 2*T_acting/J"
+    )
     assert line(SensorGain(), "sensor_w") == "w (measured) = w*(1 + sensor_w.sensor_gain.gain)"
     assert line(SensorOffset(), "sensor_w") == "w (measured) = w + sensor_w.sensor_offset.offset"
     assert line(SensorDelay(), "sensor_w") == "w(t + sensor_w.sensor_delay.delay) (measured) = w"
     latex = model.with_effect(InputGain(), at="input_T").latex()
-    assert r"T\,\text{(acting)} &= T \, \left(1 + " in latex
+    assert r"T_{\mathrm{acting}} &= T \, \left(1 + " in latex
