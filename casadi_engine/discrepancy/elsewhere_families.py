@@ -166,7 +166,9 @@ def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.
         left, whole, slope, turn = (np.array(each) for each in look(rng.uniform(0.5, 1.5, len(symbols))))
         if not left[0, 0] <= _ALIKE * whole[0, 0]:
             continue
-        if np.linalg.matrix_rank(np.vstack([slope, turn[:1]]), tol=_ALIKE) <= 1:  # a function of that alone
+        rows = np.vstack([slope, turn[:1]])
+        rows /= np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
+        if np.linalg.matrix_rank(rows, tol=_ALIKE) <= 1:  # a function of that alone
             found |= {name for name, signal in shown.items() if ca.is_equal(signal, own[0], 2)}
         needs = {name for (name, _), s in zip(every, slope.ravel(), strict=True) if abs(s) > _ALIKE}
         told = {name for name, symbol in every if _is_known(symbol, list(port.signals.values()))}

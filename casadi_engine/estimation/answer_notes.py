@@ -38,6 +38,10 @@ def of_the_search(
     stopped: str,
     noise_words: Sequence[str],
 ) -> tuple[str, ...]:
+    """What the search and its optimum ask to be known: why it is none, what no data determine, what holds it.
+
+    reason : why the optimum is none; stopped : who ended the search before its end, if anyone
+    """
     found = [] if reason is None else [cure(reason, search.too_long(best.solution.x))]
     if best.solution.status != "converged":
         found.append("this is not an optimum: the values have no standard errors")
