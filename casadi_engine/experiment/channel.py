@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.errors import ExperimentError
+from casadi_engine.errors import ExperimentError, UnitError
 
 from .units import FloatArray, read_unit
 
@@ -154,7 +154,14 @@ class Channel:
     def __post_init__(self) -> None:
         check_channel_name(self.name)
         what = f"channel {self.name!r}"
-        read_unit(self.unit, where=what)
+        own = read_unit(self.unit, where=what)
+        if self.recorded and not read_unit(self.recorded, where=what).compatible(own):
+            raise UnitError(
+                f"{what} was recorded in a unit of another dimension",
+                seen=f"{self.recorded} for {self.unit}",
+                allowed="a unit that its values can be converted from",
+                cure="leave `recorded` out",
+            )
         _one_of(self.hold, HOLDS, f"{what}: unknown hold")
         _one_of(self.origin, ORIGINS, f"{what}: unknown origin")
         time = numbers(self.time, what=f"the time of {what}")

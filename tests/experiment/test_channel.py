@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from casadi_engine.errors import ExperimentError, UnitError
-from casadi_engine.experiment import Channel, Step
+from casadi_engine.experiment import Channel, Experiment, Step
 
 T = [0.0, 0.1, 0.2, 0.3]
 BAD = ExperimentError
@@ -111,6 +111,7 @@ def test_any_real_number_type_is_taken(dtype):
         ({"values": None}, BAD, ["not a list of real numbers", "NoneType"]),
         ({"mask": [True, False]}, BAD, ["mask of channel 'omega' does not fit", "(2,)", "(4,)"]),
         ({"mask": [1, 0, 1, 1]}, BAD, ["mask of channel 'omega' does not fit", "bool"]),
+        ({"recorded": "bar"}, UnitError, ["recorded in a unit of another dimension", "bar for rad/s"]),
         ({"rows": [1, 2]}, BAD, ["row numbers of channel 'omega' do not fit", "(2,)"]),
     ],
 )  # fmt: skip
@@ -127,3 +128,16 @@ def test_a_step_of_history_is_text_and_json():
         "rows_in": 14400,
         "rows_out": 960,
     }
+
+
+def test_it_knows_the_unit_in_which_it_was_recorded(refused):
+    shown = Experiment.from_arrays(
+        "a",
+        time=[0.0, 1.0],
+        units={"x": "deg", "y": "N m", "z": "-"},
+        x=[0.0, 180.0],
+        y=[1.0, 2.0],
+        z=[1.0, 2.0],
+    )
+    assert [shown[name].recorded for name in "xyz"] == ["deg", "", ""]
+    assert shown.in_units({"x": "deg"})["x"].recorded == "deg"
