@@ -411,7 +411,8 @@ class _Job:
             fit = estimate(**given)
             if fit.converged and fit.innovations is None:  # as a fit by itself is looked at
                 alone = given | {"starts": 1, "neighbours": 0, "jobs": 1}
-                fit = over_whole_records(fit, lambda changed: estimate(**(alone | changed)))
+                with suppress(TimeUp):  # there is a fit
+                    fit = over_whole_records(fit, lambda changed: estimate(**(alone | changed)))
             # as its message tells a person to, who may have wanted no more than so many
             if ONE_STEP in fit.status or (fit.status == OUT_OF_ITERATIONS and self.patient):
                 more = options | {"max_iterations": _FURTHER * options["max_iterations"]}
