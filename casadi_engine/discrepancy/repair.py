@@ -19,6 +19,7 @@ from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_sc
 from casadi_engine.discrepancy.checked_errors import with_checked_errors, with_errors_of_rounding
 from casadi_engine.discrepancy.choice import ANY, TIME_UP, Choice
 from casadi_engine.discrepancy.event_intervals import with_intervals_of_times
+from casadi_engine.discrepancy.first_fit import first_fit
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import FRESH
@@ -53,10 +54,9 @@ from casadi_engine.estimation.faulty_samples import at_its_limit, stands_still, 
 from casadi_engine.estimation.few_samples import UNKNOWN
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.interrupts import Interrupts
-from casadi_engine.estimation.ipopt import ONE_STEP, OUT_OF_ITERATIONS
+from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.options import as_number, whole
 from casadi_engine.estimation.parallel import checked_jobs
-from casadi_engine.estimation.second_look import over_whole_records
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.corners import with_rounded_jumps
@@ -78,9 +78,8 @@ _AGAIN = 2.0
 # Behind a budget or a Ctrl-C an answer is made of what was found, within this share of the budget or so many seconds;
 # share of that time up to which the fit without effects and its scores may last, without which there is no answer.
 _SPARE, _LEAST_SPARE, _FIRST = 0.1, 2.0, 0.5
-# Iterations of the fit without effects by default, and how many times as many it takes where these run out: a valley
-# may be nearly flat.
-_ITERATIONS, _FURTHER = 200, 5
+# Iterations of the fit without effects by default.
+_ITERATIONS = 200
 _NO_VALUE = "the model without effects comes to where its equations have no value"
 _JUMPED = (
     JUMPED + "; here tanh stands in place of their jumps, as sharp as the motion asks for "
@@ -407,20 +406,7 @@ class _Job:
         }
         given |= {"jobs": jobs, "enough": "white", **self.several, **options}
         share = max(_NULL * self.deadline.left, _AT_LEAST)
-        with Deadline(share, best=True) as own:
-            fit = estimate(**given)
-            if fit.converged and fit.innovations is None:  # as a fit by itself is looked at
-                alone = given | {"starts": 1, "neighbours": 0, "jobs": 1}
-                with suppress(TimeUp):  # there is a fit
-                    fit = over_whole_records(fit, lambda changed: estimate(**(alone | changed)))
-            # as its message tells a person to, who may have wanted no more than so many
-            if ONE_STEP in fit.status or (fit.status == OUT_OF_ITERATIONS and self.patient):
-                more = options | {"max_iterations": _FURTHER * options["max_iterations"]}
-                with suppress(CasadiEngineError):  # there is a fit
-                    again = estimate(
-                        self.model, self.portion.data, parameters=self.parameters, warm=fit, **more
-                    )
-                    fit = again if again.converged else fit
+        fit, own = first_fit(given, share, patient=self.patient)
         if fit.status == "interrupted" and own.over and not late() and math.isfinite(fit.cost):
             # else it goes on as refits do, which begin in short windows
             fit = self._at_its_end(fit, options) or replace(fit, status=_SHARE_OVER)

@@ -98,7 +98,7 @@ def test_ctrl_c_in_the_fit_without_effects(repaired, monkeypatch):
         fit = estimate(*arguments, **options)
         return replace(fit, status="interrupted")
 
-    monkeypatch.setattr(import_module("casadi_engine.discrepancy.repair"), "estimate", pressed)
+    monkeypatch.setattr(import_module("casadi_engine.discrepancy.first_fit"), "estimate", pressed)
     found = repaired()
     assert (found.status, found.verdict) == ("interrupted", None)
     (said,) = found.messages
