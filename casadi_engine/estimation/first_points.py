@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -54,7 +55,8 @@ class FirstPoints(LaidProblem):
         values = np.array(found, dtype=float)
         return np.clip(np.where(np.isfinite(values), values, z), self.pmap.lower, self.pmap.upper)
 
-    def _start(self, z: Array, *, first: bool) -> Array:
+    def _start(self, z: Array, *, first: bool, fitted: bool = True) -> Array:
+        """The point at these values; fitted : its nodes are moved to where their intervals explain their samples"""
         if first and self._first is not None and np.array_equal(self._first[0], z):
             return self._first[1].copy()
         x = np.zeros(self.problem.size)
@@ -64,7 +66,7 @@ class FirstPoints(LaidProblem):
             nodes = self._warm_nodes(record, x[:nv]) if first else None
             if nodes is None:
                 nodes = nodes_from_measurement(record, self.pmap.unpack(z, record.experiment.name))
-                if isinstance(record.propagator, RungeKuttaPropagator):
+                if fitted and isinstance(record.propagator, RungeKuttaPropagator):
                     nodes = fitted_nodes(record, x[:nv], nodes)
             low, high, given = (part / record.scale for part in bounds)
             nodes[0] = np.clip(np.where(np.isfinite(given), given, nodes[0]), low, high)
@@ -139,7 +141,15 @@ class FirstPoints(LaidProblem):
         return (there, found.converged) if self._lower(there, x) else (x, False)
 
     def _checked(self, x: Array, z: Array) -> Array:
-        """The point itself, if the model can be evaluated there."""
+        """The point itself, or another one of these values where the model cannot be evaluated there: nodes near noisy
+        samples may lie where a power has no slope or a mass no inverse, and those of one run need not."""
+        if not self._is_usable(x):
+            others = (lambda: self._chained(x), lambda: self._start(z, first=False, fitted=False))
+            for made in others:
+                with suppress(FloatingPointError, np.linalg.LinAlgError):
+                    if self._is_usable(point := made()):
+                        check_growth(self.records, self.problem.at(point).records)
+                        return point
         if not np.isfinite(self._objective(x)):
             raise EstimationError(
                 "the model cannot be evaluated at the start values",
@@ -148,12 +158,6 @@ class FirstPoints(LaidProblem):
                 cure="change the start values or the bounds",
             )
         check_growth(self.records, self.problem.at(x).records)
-        if has_slopes(self.problem.at(x)):
-            return x
-        # nodes near noisy samples may lie where a power has a value and no slope; those of one run need not
-        run = self._chained_if_any(x)
-        if run is not None and np.isfinite(self._objective(run)) and has_slopes(self.problem.at(run)):
-            return run
         check_slopes(self.records, self.problem.at(x))
         return x
 
@@ -165,11 +169,9 @@ class FirstPoints(LaidProblem):
             found[lay.at : lay.at + nodes.size] = nodes.ravel()
         return found
 
-    def _chained_if_any(self, x: Array) -> Array | None:
-        try:
-            return self._chained(x)
-        except FloatingPointError:
-            return None
+    def _is_usable(self, x: Array) -> bool:
+        """True where the objective and its slopes are finite."""
+        return bool(np.isfinite(self._objective(x))) and has_slopes(self.problem.at(x))
 
     def drawn(self, count: int, seed: int) -> list[Array]:
         """Starts of z, the set's own and others around it."""
