@@ -62,7 +62,7 @@ def test_a_parameter_at_a_bound_is_told_where_nothing_was_added():
 
 
 def test_a_first_fit_that_asks_for_one_more_step_is_given_it(monkeypatch):
-    module, asked = importlib.import_module("casadi_engine.discrepancy.repair"), []
+    module, asked = importlib.import_module("casadi_engine.discrepancy.first_fit"), []
     real = module.estimate
 
     def estimate(*arguments, **options):
