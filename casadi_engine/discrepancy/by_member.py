@@ -65,7 +65,7 @@ def told_by_priors(found: Sequence[FoundEffect], key: Key, pool: Mapping[Key, An
         if alike:
             said.append(
                 f"{one.name} at {one.at} and {' and '.join(alike)} explain all data alike: their probabilities are "
-                "those that they had before the data, by their sizes"
+                "those of their priors"
             )
     return said
 

@@ -143,13 +143,12 @@ class FirstPoints(LaidProblem):
     def _checked(self, x: Array, z: Array) -> Array:
         """The point itself, or another one of these values where the model cannot be evaluated there: nodes near noisy
         samples may lie where a power has no slope or a mass no inverse, and those of one run need not."""
-        if not self._is_usable(x):
-            others = (lambda: self._chained(x), lambda: self._start(z, first=False, fitted=False))
-            for made in others:
-                with suppress(FloatingPointError, np.linalg.LinAlgError):
-                    if self._is_usable(point := made()):
-                        check_growth(self.records, self.problem.at(point).records)
-                        return point
+        others = (lambda: x, lambda: self._chained(x), lambda: self._start(z, first=False, fitted=False))
+        for made in others:
+            with suppress(FloatingPointError, np.linalg.LinAlgError):
+                if self._is_usable(point := made()):
+                    check_growth(self.records, self.problem.at(point).records)
+                    return point
         if not np.isfinite(self._objective(x)):
             raise EstimationError(
                 "the model cannot be evaluated at the start values",

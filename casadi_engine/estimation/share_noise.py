@@ -14,7 +14,8 @@ from casadi_engine.estimation.varied_noise import FLOOR, as_a_share
 
 Array = NDArray[np.float64]
 
-# How many times more likely noise that is a share has to be than one of one size.
+# How many times more likely noise that is a share has to be than one of one size: normal noise of one size is so once
+# in 140 records at most, Phi(-sqrt(2 log 20)), and less often where an output varies by more than a few per cent.
 _LIKELY = 20.0
 
 

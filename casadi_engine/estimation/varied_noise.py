@@ -233,11 +233,13 @@ def _gain_of(r: Array, course: Array, taken: Array | None = None) -> float:
         return 0.0
     own = _variances(squares / level, weight, course[here])
     gain = float(weight @ (squares / level - np.log(own) - squares / level / own))
-    left = squares / level / own
-    mean = float(weight @ left) / float(weight.sum())
-    # 2 of normal noise, more where tails are heavy
-    tails = max(2.0, float(weight @ (left - mean) ** 2) / float(weight.sum()) / mean**2)
-    return gain / tails if gain > _NOTHING else 0.0
+    return gain / _tails(squares / level / own, weight) if gain > _NOTHING else 0.0
+
+
+def _tails(squares: Array, weight: Array) -> float:
+    """Variance of squared noise (n,) over its squared mean: 2 of normal noise, more where tails are heavy."""
+    mean = float(weight @ squares) / float(weight.sum())
+    return max(2.0, float(weight @ (squares - mean) ** 2) / float(weight.sum()) / mean**2)
 
 
 def as_a_share(r: Array, shown: Array, taken: Array | None = None) -> float:
@@ -256,7 +258,8 @@ def as_a_share(r: Array, shown: Array, taken: Array | None = None) -> float:
         level = float(weight @ (squares / shape)) / float(weight.sum())
         return float(weight @ np.log(level * shape)) / 2  # and half the weights' sum, whatever the shape
 
-    return cost(np.ones_like(size)) - cost(size**2)
+    gain = cost(np.ones_like(size)) - cost(size**2)
+    return gain if gain <= 0 else 2 * gain / _tails(squares / size**2, weight)
 
 
 def _floored(size: Array) -> Array:
