@@ -10,10 +10,12 @@ was no optimum, and the search goes on from there.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.parameters import Parameters
@@ -26,6 +28,8 @@ _TOO_SHORT = 1.25
 _MOST, _FITS = 2, 5
 # Chi-squared by which a fit from inside has to be lower to take the place of one on a bound; so often.
 _LOWER, _AGAIN = 0.1, 3
+# Seconds of the processor for it: so many at least, and times those of the fit.
+_SECONDS, _TIMES = 3.0, 1.0
 # Share of the way that places away from the bound lie apart.
 _ON = 0.125
 # Power of the distance from the bound with which chi-squared rises, at least.
@@ -33,6 +37,10 @@ _FLATTEST = 0.5
 # Share of a value within which a place is that of the bound.
 _SAME = 1e-6
 NOT_TOLD = "rests on its bound, and"
+_NOT_LOOKED = (
+    "the errors are those with {} on its bound; whether the data allow it elsewhere, with the others elsewhere too, was "
+    "not seen, as that takes more than {:.0f} s: call ce.posterior(fit)"
+)
 
 
 def told_from_their_bounds(fit: Fit, parameters: Parameters, again: Callable[[dict[str, Any]], Fit]) -> Fit:
@@ -40,8 +48,16 @@ def told_from_their_bounds(fit: Fit, parameters: Parameters, again: Callable[[di
 
     again(changes) : makes a fit with changed arguments
     """
+    seconds = _SECONDS + _TIMES * fit.timing.get("total", 0.0)
     for _ in range(_AGAIN):
-        found = _looked_behind(fit, parameters, again)
+        try:
+            with Deadline(seconds, clock=time.process_time):
+                found = _looked_behind(fit, parameters, again)
+        except TimeUp:
+            if late():
+                raise
+            held = _listed([name for name in fit.free if fit.estimates[name].at_bound])
+            return replace(fit, messages=(*fit.messages, _NOT_LOOKED.format(held, seconds)))
         lower = found if found is not None and found.cost < fit.cost - _LOWER else None
         if lower is None:
             return fit if found is None else found

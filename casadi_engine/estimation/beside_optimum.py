@@ -15,6 +15,7 @@ from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.foreseen_ends import FAR, Rises
 from casadi_engine.estimation.innovations import STABLE
 from casadi_engine.estimation.limited_ends import Limits
+from casadi_engine.estimation.nothing_left import is_white
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
 
@@ -28,6 +29,8 @@ _WIDE = 0.15
 _RIVAL = 10.0
 # Size of a residual over what an output varies by that is worse than a constant; fewest samples that say so.
 _WORSE, _FEW = 1.1, 8
+# Share of an output's variance beyond which a residual that is no noise is more than what the simulation follows.
+_MORE = 0.5
 # Chi-squared below which a place is no lower.
 _LOWER = 0.1
 # Share of half an interval by which its ends may lie elsewhere than ± has them for ± to be printed: a fifth of a
@@ -58,8 +61,9 @@ def rivals(search: Search, best: Attempt, errors: Uncertainty, optima: Sequence[
 
 
 def lost(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> list[Doubt]:
-    """Outputs that a constant explains better than the simulation does: hardly the lowest optimum, unless the model is
-    another one, and either way no place to take errors from."""
+    """Outputs that a constant explains better than the simulation does, and records of which more is left than
+    followed: hardly the lowest optimum, unless the model is another one, and either way no place to take errors from.
+    """
     found = []
     for record, left in zip(search.records, residuals, strict=True):
         for name, own in record.grid.measured.items():
@@ -74,7 +78,33 @@ def lost(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> lis
                 "lacks"
             )
             found.append(Doubt("lost", text, np.zeros(len(errors.covariance.matrix))))
-    return found
+    return found or _left(search, errors, residuals)
+
+
+def _left(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> list[Doubt]:
+    """Records of which the simulation leaves more of every output than it follows, where that is no noise."""
+    if search.noise.predicts:
+        return []
+    for record, left in zip(search.records, residuals, strict=True):
+        coloured, names = False, list(record.grid.measured)
+        for name in names:
+            r = record.observation.series(left, name)
+            valid = record.observation.series(record.observation.valid, name).astype(bool)
+            level = float(search.sigma[search.levels.outputs.index(name)])
+            varies = float(np.var(record.grid.measured[name].values)) / level**2
+            if valid.sum() < _FEW or float(np.mean(r[valid] ** 2)) < _MORE * varies:
+                break
+            coloured = coloured or not is_white(np.where(valid, r, 0.0), valid)
+        else:
+            if not coloured:
+                continue
+            text = (
+                f"the simulation leaves more of {record.experiment.name}/{', '.join(names)} than it follows, and that "
+                "is no noise: the errors are not known; search from elsewhere, as by starts=10 or "
+                "approach='prediction', or look what the model lacks"
+            )
+            return [Doubt("lost", text, np.zeros(len(errors.covariance.matrix)))]
+    return []
 
 
 def unstable(errors: Uncertainty) -> list[Doubt]:

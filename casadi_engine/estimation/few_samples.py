@@ -44,7 +44,9 @@ def freedom_of(search: Search, errors: Uncertainty) -> float:
     whole = np.diag(matrix)[: search.problem.nv]
     unsure = (np.square(shares)[estimated] / freedom[estimated, None]).sum(axis=0)
     told = (whole > 0) & np.isfinite(unsure) & (unsure > 0)
-    return min(pooled, float((whole[told] ** 2 / unsure[told]).min(initial=pooled)))
+    fewest = float((whole[told] ** 2 / unsure[told]).min(initial=pooled))
+    # a sum has no fewer than its worst part: less is the rounding of a matrix that is all but singular
+    return min(pooled, max(fewest, float(freedom[estimated].min(initial=pooled))))
 
 
 def interpolated(search: Search, errors: Uncertainty) -> list[Doubt]:

@@ -42,12 +42,12 @@ def _nothing_left(search: Search, attempt: Attempt) -> bool:
             measured = record.grid.measured[name].values / search.sigma[search.records[0].outputs.index(name)]
             size = float(np.std(measured[np.isfinite(measured)]))
             left = float(np.sqrt(np.mean(r[valid] ** 2)))
-            if left > (1 - FOLLOWED / 100) * size or not _white(np.where(valid, r, 0.0), valid):
+            if left > (1 - FOLLOWED / 100) * size or not is_white(np.where(valid, r, 0.0), valid):
                 return False
     return True
 
 
-def _white(residual: Array, valid: NDArray[np.bool_]) -> bool:
+def is_white(residual: Array, valid: NDArray[np.bool_]) -> bool:
     """True if no autoregression of a residual (N,) is worth its coefficients."""
     if not residual.any():
         return True

@@ -27,9 +27,13 @@ from casadi_engine.simulation.variational import Steps, balance, scan, step_matr
 _PART = 2048
 # States of a part, for all columns, that do not stay in the cache together (16 MB): then columns go by groups.
 _WIDE = 2_000_000
-# |A| h of one step of the variational equation.
+# Of what a state's row of A makes in a step, what its change within the step may leave unsolved.
+_UNSOLVED = 1e-3
+# |A| h at which a step is exact enough, whatever A does in it.
 _STEP = 0.5
 _MOST_SUBSTEPS = 64
+# Steps at which A's change is looked at.
+_LOOKED_AT = 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,18 +169,38 @@ class Sweep:
             slopes += ca.mtimes(ca.jacobian(model.ode, model.w), ca.jacobian(model.slot_laws, model.x))
         jacobian = [slopes, ca.jacobian(model.output_expressions, model.x)]
         self._jacobian = path.function(jacobian)
-        some = path.at_samples().part(slice(0, None, max(1, path.grid.samples // 64)))
-        a, _ = self._slopes(some)
-        if self.constant:
-            a = a[:1]
-        self.scale = balance(a)
-        size = float(np.abs(a / self.scale[:, None] * self.scale).sum(axis=1).max(initial=0.0))
-        wanted = math.ceil(size * float(path.lengths.max()) / _STEP)
-        self.substeps = min(max(1, wanted), _MOST_SUBSTEPS) if substeps is None else substeps
+        first, last = self._some()
+        self.scale = balance(first)
+        self.substeps = self._fewest(first, last) if substeps is None else substeps
         self._ode = Columns(path, [d.ode for d in self.directions], xi, n)
         self._out = Columns(path, [d.output for d in self.directions], xi, self.shape[0])
         self._own = self._own_states(own, stated) if own.numel() else None
         self._constant: tuple[Array, Steps] | None = None
+
+    def _some(self) -> tuple[Array, Array]:
+        """A (T, n, n) at the starts and the ends of some steps; (1, n, n) for a linear model."""
+        points = self.path.at_samples()
+        if self.constant:
+            only = self._slopes(points.part(slice(0, 1)))[0]
+            return only, only
+        every = max(1, (self.path.grid.samples - 1) // _LOOKED_AT)
+        parts = (slice(0, -1, every), slice(1, None, every))
+        first, last = (self._slopes(points.part(part))[0] for part in parts)
+        return first, last
+
+    def _fewest(self, first: Array, last: Array) -> int:
+        """The fewest substeps that follow the change of A within a sample: a constant A is solved in any step."""
+        largest = np.maximum(np.abs(first), np.abs(last))
+        moved, size = (np.abs(self._scaled(one)).sum(axis=2) for one in (last - first, largest))
+        size *= self.path.lengths.max()
+        most = min(max(1, math.ceil(size.max(initial=0.0) / _STEP)), _MOST_SUBSTEPS)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(size > 0, moved * self.path.lengths.max() / size, 0.0)
+        for wanted in range(1, most):
+            acts = np.minimum(1.0, size / wanted) ** 3
+            if (acts * share).max(initial=0.0) / wanted <= _UNSOLVED:
+                return wanted
+        return most
 
     def _own_states(self, own: ca.SX, stated: Sequence[Direction]) -> OwnStates:
         start = np.array([v for d in stated for v in d.start], dtype=float)

@@ -126,9 +126,10 @@ class ExponentialPropagator:
         self._lay(self._least)
 
     def _lay(self, substeps: int) -> None:
-        self.substeps = substeps
+        # all or nothing: the time may be up in between, and the propagator goes on
+        given = self.laws.given(self.grid, self.intervals, substeps)
+        self.substeps, self._given = substeps, given
         self.steps = self.intervals.length * substeps
-        self._given = self.laws.given(self.grid, self.intervals, substeps)
         self._held: tuple[DriveSamples, Array, Array, Array] | None = None
 
     def refined(self, substeps: int) -> ExponentialPropagator:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from casadi_engine.deadline import TimeUp
 from casadi_engine.errors import SimulationError
 from casadi_engine.model import Blueprint, crankshaft, one_inertia, two_mass
 from casadi_engine.simulation import exponential_runge_kutta
@@ -250,6 +251,22 @@ def test_a_wild_point_does_not_make_later_ones_pay_for_its_short_steps(made):
     path = fresh.propagate(np.array([20000.0]), nodes, 1)
     for one, other in zip(late, fresh.contraction(np.array([20000.0]), path, rho, lam), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9)
+
+
+def test_steps_whose_laying_was_stopped_are_not_half_laid(made, monkeypatch):
+    """The time may be up while shorter steps are laid; the propagator serves the next search as well."""
+    model, z = pair(lambda a, v: -40 * ca.tanh(v / 0.001)), ca.SX(0, 1)
+    grid = made.grid(torques(40, step=4 * STEP), step=4 * STEP)
+    scale, p = made.scale(model), ca.DM(model.parameter_vector())
+    propagator = make_propagator(model, grid, cut(grid, None), z, p, scale=scale)
+    nodes = np.array([START]) / scale
+    with monkeypatch.context() as patched:
+        patched.setattr(propagator.laws, "given", lambda *_: (_ for _ in ()).throw(TimeUp))
+        with pytest.raises(TimeUp):
+            propagator.propagate(NONE, nodes, 1)
+    assert propagator.steps == propagator.intervals.length * propagator.substeps == len(propagator._given)
+    fresh = make_propagator(model, grid, cut(grid, None), z, p, scale=scale)
+    np.testing.assert_array_equal(propagator.propagate(NONE, nodes, 1).y, fresh.propagate(NONE, nodes, 1).y)
 
 
 def test_a_law_that_runs_away_is_reported_without_noise(made):
