@@ -38,8 +38,8 @@ _FLATTEST = 0.5
 _SAME = 1e-6
 NOT_TOLD = "rests on its bound, and"
 _NOT_LOOKED = (
-    "the errors are those with {} on its bound; whether the data allow it elsewhere, with the others elsewhere too, was "
-    "not seen, as that takes more than {:.0f} s: call ce.posterior(fit)"
+    "the errors are those with {} on its bound; whether the data allow it elsewhere, with the others elsewhere too, "
+    "was not seen, as that takes more than {:.0f} s: call ce.posterior(fit)"
 )
 
 

@@ -10,7 +10,9 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import casadi_engine as ce
+from casadi_engine.deadline import Deadline, TimeUp, ask
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation import behind_a_bound
 from casadi_engine.estimation.behind_a_bound import NOT_TOLD, _further, told_from_their_bounds
 from casadi_engine.estimation.fit import Estimate
 
@@ -28,6 +30,7 @@ class Found:
     own_noise: dict[str, float] = field(default_factory=dict)
     messages: tuple[str, ...] = ()
     gain: Any = None
+    timing: dict[str, float] = field(default_factory=lambda: {"total": 2.0})
     initial: dict[str, dict[str, Estimate]] = field(
         default_factory=lambda: {"a": {"T": Estimate(20.0, 0.5, "degC"), "U": Estimate(21.0, 0.5, "degC")}}
     )
@@ -148,6 +151,26 @@ def test_a_fit_that_cannot_be_made_says_nothing(other):
     fit = on_its_bound()
     held = Held(None if other is None else elsewhere(fit, converged=False))
     assert told_from_their_bounds(fit, held, held.again) is fit
+
+
+def test_what_was_not_seen_in_time_is_said(monkeypatch):
+    """A stiff culture of 23 samples: the look behind a bound took four times as long as the fit."""
+    fit = on_its_bound()
+    monkeypatch.setattr(behind_a_bound, "_SECONDS", -5.0)
+
+    class Slow(Held):
+        def again(self, changes):
+            ask()
+            raise AssertionError("there was time")
+
+    held = Slow(elsewhere(fit))
+    found = told_from_their_bounds(fit, held, held.again)
+    assert found.estimates == fit.estimates
+    assert found.messages[-1].startswith(
+        "the errors are those with C on its bound; whether the data allow it"
+    )
+    with pytest.raises(TimeUp), Deadline(-1.0):  # that of who has asked is his
+        told_from_their_bounds(fit, held, held.again)
 
 
 def test_no_other_fit_where_nothing_rests_on_a_bound():

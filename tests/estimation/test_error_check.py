@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
+from scipy.signal import lfilter
 from scipy.stats import norm
 
 import casadi_engine as ce
@@ -204,6 +205,30 @@ def test_where_a_constant_explains_an_output_better_no_error_is_known(goes):
     assert any("a constant explains r/y better" in text for text in fit.messages) == (not goes)
     assert (fit.stderr["k"] is None) == (not goes)
     assert fit.estimates["k"].interval is None
+
+
+@pytest.mark.parametrize(
+    ("others", "colour", "told"), [(0.4, 0.0, True), (1.0, 0.0, False), (0.0, 0.9, True)]
+)
+def test_no_error_is_known_where_more_is_left_than_followed(others, colour, told):
+    """One of three tones that are as large: its frequency is known to 0.1 % at a place where most is wrong. Noise of
+    one colour, a good part of the motion, is none of that."""
+    b = ce.Blueprint("tone")
+    w = b.parameter("w", 1.1, unit="rad/s", min=0.1, max=30)
+    x, v = b.state("x"), b.state("v")
+    b.ode("x", v)
+    b.ode("v", -w * w * x)
+    b.output("y", x)
+    t = np.arange(400) * 0.1
+    e = np.random.default_rng(0).standard_normal(400)
+    rest = others * (np.cos(2.9 * t) + np.cos(5.1 * t + 1))
+    y = np.cos(1.002 * t) + rest + (0.15 * lfilter([1], [1, -colour], e) if colour else 0.1 * e)
+    data = ce.Experiment.from_arrays("r", time=t, units={"y": "1"}, y=y)
+    fit = ce.estimate(b.model(), data, progress=False)
+    left = any("the simulation leaves more of r/y than it follows" in text for text in fit.messages)
+    assert left == (not told)
+    assert (fit.stderr["w"] is None) == (not told)
+    assert fit.estimates["w"].interval is None
 
 
 def test_a_bound_within_two_errors_is_named():

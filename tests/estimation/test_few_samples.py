@@ -6,6 +6,7 @@ from scipy.stats import t as student
 
 import casadi_engine as ce
 from casadi_engine.errors import PosteriorError
+from casadi_engine.estimation import few_samples
 
 
 def two_means(many, few, *, known=False, seed=0):
@@ -39,6 +40,15 @@ def test_a_parameter_that_hangs_on_few_samples_has_the_freedom_of_these():
 def test_a_known_level_and_many_samples_are_known_well():
     assert said(two_means(200, 6, known=True)) == []
     assert said(two_means(200, 150)) == []
+
+
+def test_a_level_has_no_fewer_degrees_than_its_own_samples_leave(monkeypatch):
+    """Where parameters are all but exchangeable the parts of an error do not add up: a culture had 8e-11 degrees of
+    freedom, and an interval of 6e148 standard errors."""
+    grams = few_samples.grams_of
+    monkeypatch.setattr(few_samples, "grams_of", lambda *args: [1e6 * gram for gram in grams(*args)])
+    (words,) = said(two_means(200, 6))
+    assert "from 1 degrees of freedom" in words
 
 
 def test_one_level_has_all_samples():

@@ -16,6 +16,7 @@ from casadi_engine.effects import candidate, library
 from casadi_engine.errors import ModelError
 from casadi_engine.simulation.candidate_sensitivities import (
     Direction,
+    Sweep,
     at_measurements,
     grid_sensitivities,
     initial_direction,
@@ -198,6 +199,25 @@ def test_a_sharp_law_between_coarse_samples_needs_substeps():
     ]
     assert errors[1] < 0.01
     assert errors[1] < 0.5 * errors[0]
+
+
+@pytest.mark.parametrize(("softens", "most"), [(0.05, 1), (0.9, 8)])
+def test_steps_follow_the_change_of_the_slopes_not_their_size(softens, most):
+    """A stiff mode that hardly changes is solved in one step to a sample, where its size alone asked for eight."""
+    b = ce.Blueprint("stiff")
+    z, v = b.state("z"), b.state("v")
+    push = b.port("mass", "inertia", {"speed": v})
+    b.ode("z", v)
+    b.ode("v", -400.0 * (z + softens * z**3) - 5.0 * v + push)
+    b.output("y", z)
+    model, t = b.model(), np.arange(401) * 0.01 * 2.0**softens
+    data = ce.Experiment.from_arrays("r", time=t, units={"y": "1"}, y=0 * t)
+    path = null_path(model, lay_grid(model, data), model.parameter_vector(), np.array([0.4, 0.0]))
+    drag = torque_direction(model, "mass", -(model.x[1] ** 2), name="drag")
+    sweep = Sweep(path, [drag])
+    assert sweep.substeps <= most
+    fine = grid_sensitivities(path, [drag], substeps=16)
+    assert grid_sensitivities(path, [drag]) == pytest.approx(fine, abs=1e-3 * np.abs(fine).max())
 
 
 def test_knots_add_up_to_the_whole_torque_and_are_causal():
