@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
+from casadi_engine.discrepancy.one_product import may_be_a_product
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.repaired import Unknown
 from casadi_engine.discrepancy.wording import HOLDS
@@ -37,6 +38,8 @@ def told_as_one_law(repair: Repair) -> Repair:
         ports.setdefault(one.at, []).append(one)
     said = {at: words for at, own in ports.items() if (words := _said(repair.fit, at, own))}
     if not said and len(ports) > 1 and (words := _over_one_variable(repair.fit, repair.effects)):
+        said = {repair.effects[0].at: words}
+    if not said and (words := may_be_a_product(repair.fit, repair.effects)):
         said = {repair.effects[0].at: words}
     if not said:
         beside = [words for at, own in ports.items() if (words := _beside_own_terms(repair.fit, at, own))]

@@ -23,12 +23,15 @@ def is_further(model: Model, path: Port, effect: Any) -> bool:
     One that reads by how much the input is above the port's own signal asks for that. One in proportion to the input
     asks that the input was recorded and acts on nothing; or that it has the unit of what acts there, or acts at other
     ports of that unit by a constant (the sun by an area on the air, and so on the floor), and that it does not act
-    there alone, where that would be a wrong gain of it.
+    there alone, where that would be a wrong gain of it. What is an output too is no cause: stiff enough, a way from
+    what was measured to where it is measured leads through every sample, whatever the model lacks.
     """
-    if "link" in effect.attaches or "pipe" in effect.attaches:
-        return "difference" in path.signals
     (end,) = path.ends
     name = path.name.removesuffix(f"_to_{end}")
+    if any(out.name == name for out in model.outputs):
+        return False
+    if "link" in effect.attaches or "pipe" in effect.attaches:
+        return "difference" in path.signals
     symbol = model.u[[one.name for one in model.inputs].index(name)]
     if name in model.idle_inputs:
         return True

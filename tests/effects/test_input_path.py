@@ -269,3 +269,18 @@ def test_an_input_that_hardly_varies_acts_by_its_variation(level, about):
     rate = ca.Function("rate", [made.x, made.u, made.t, made.p], [made.closed_ode])
     slope = rate(0, ca.vertcat(3.0, 0.0), 0, made.parameter_vector()).full().ravel()
     np.testing.assert_allclose(slope, [5.0 / 4e4, 0.0])
+
+
+def test_what_is_an_output_too_is_no_cause():
+    """A measured speed by which the equations are evaluated: a stiff enough viscous friction between it and a shaft
+    led through every sample of a crankshaft, was "confirmed on fresh data", and told nothing of the drag that lacked.
+    """
+    b = ce.Blueprint("shaft")
+    w = b.state("w", unit="rad/s")
+    push, seen = b.input("T", unit="N m"), b.input("omega", unit="rad/s")
+    slot = b.port("disc", "inertia", {"speed": w}, unit="N m")
+    b.ode("w", (push - 1e-3 * seen**2 - 0.1 * w + slot) / 0.2)
+    b.output("omega", w, unit="rad/s")
+    model = b.model()
+    for effect in (InputPath(), ce.effects.Transfer()):
+        assert "omega_to_disc" not in [port.name for port in ports_for(model, effect)]
