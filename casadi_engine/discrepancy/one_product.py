@@ -54,20 +54,22 @@ def _pairs(
     """Two effects and what they add to an equation (n, 1), each by other states and inputs, without a memory."""
     model, names = fit.model, list(fit.model.parameter_names)
     moving = ca.vertcat(model.x, model.u)
+    ode = ca.substitute(model.closed_ode, model.d, model.drive_expressions)
     found = []
     for one in effects:
         amplitude = next(iter(one.parameters))
         memory = any(state.name.startswith(f"{one.at}_{one.name}_") for state in model.states)
         if amplitude not in names or memory:
             continue
-        without = ca.vertcat(*[0 if k == names.index(amplitude) else model.p[k] for k in range(len(names))])
-        adds = ca.simplify(model.closed_ode - ca.substitute(model.closed_ode, model.p, without))
-        found.append((one, adds))
+        size = model.p[names.index(amplitude)]
+        found.append((one, ca.jacobian(ode, size) * size))  # laws are in proportion to their amplitudes
     for (one, a), (other, b) in combinations(found, 2):
-        rows = [k for k in range(a.numel()) if not (a[k].is_zero() or b[k].is_zero())]
+        rows = [k for k in range(a.numel()) if a.has_nz(k, 0) and b.has_nz(k, 0)]
         if len(rows) != 1:
             continue
-        read = [{i for i in range(moving.numel()) if ca.depends_on(part[rows[0]], moving[i])} for part in (a, b)]
+        read = [
+            {i for i in range(moving.numel()) if ca.depends_on(part[rows[0]], moving[i])} for part in (a, b)
+        ]
         if all(read) and not read[0] & read[1] and not ca.depends_on(ca.vertcat(a, b), model.t):
             yield one, other, (_alone(a, rows[0]), _alone(b, rows[0]))
 
@@ -100,7 +102,7 @@ def _fits(null: NullModel, fit: Fit, first: ca.SX, second: ca.SX) -> bool:
 def _at(term: ca.SX, mean: float) -> ca.SX:
     """The mean in the row of a term."""
     return ca.SX(ca.DM(term.sparsity(), 1.0)) * 0 + ca.vertcat(
-        *[0 if term[k].is_zero() else mean for k in range(term.numel())]
+        *[mean if term.has_nz(k, 0) else 0 for k in range(term.numel())]
     )
 
 
