@@ -41,9 +41,9 @@ def may_be_a_product(fit: Fit | None, effects: Sequence[FoundEffect]) -> str:
             for first, second in (terms, terms[::-1]):
                 if _fits(null, fit, first, second):
                     return (
-                        f"{one.name} at {one.at} and {other.name} at {other.at} act on one equation by signals that move "
-                        "together too little to tell their sum from a product: one law of both, that the library lacks, "
-                        "may be the true one there"
+                        f"{one.name} at {one.at} and {other.name} at {other.at} act on one equation, by signals that "
+                        "move together too little to tell their sum from a product: one law of both, that the library "
+                        "lacks, may be the true one there"
                     )
     return ""
 

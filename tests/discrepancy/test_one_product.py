@@ -56,7 +56,7 @@ def record(law, swing):
 def test_a_product_is_told_where_the_signals_move(law, swing, may):
     fit = ce.estimate(repaired(), record(law, swing), noise=ce.Noise(shown=0.05), progress=False)
     words = may_be_a_product(fit, FOUND)
-    assert words.startswith("viscous_friction at vat and input_path at w_to_vat act on one equation") == may
+    assert words.startswith("viscous_friction at vat and input_path at w_to_vat act on one equation,") == may
     assert bool(words) == may
 
 
