@@ -18,6 +18,7 @@ from functools import partial
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
 from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
+from casadi_engine.discrepancy.beside_rivals import beside_rivals
 from casadi_engine.discrepancy.exchange import (
     exchanged,
     in_its_parts,
@@ -355,6 +356,8 @@ class Choice:
         """
         tried = self._timed("refit", lambda: self._added(here, station))
         tried += [self.pool[key] for key in known if self.pool[key] not in tried]
+        if here.effects and not late():
+            tried += self._timed("exchange", lambda: beside_rivals(self.refits, here, tried, self.tell))
         self._timed("evidence", self.refits.weigh)
         tried += self._timed("exchange", lambda: self._without_idle(tried))
         chosen = self._chosen_of(here, station, tried)

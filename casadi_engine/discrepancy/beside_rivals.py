@@ -1,0 +1,50 @@
+"""What is added to a structure, added to its rivals too.
+
+Effects are added one at a time to what was chosen before; where another effect explained as much, the choice was none,
+and only the next one tells: behind a heater, whose gain was wrong too, a late heater and a late sensor left the same, and
+what made up for the wrong one of them was a storage that was not there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from casadi_engine.deadline import ask
+from casadi_engine.discrepancy.in_place import start_without
+from casadi_engine.discrepancy.refits import FACTOR, Refits, Tried
+
+# Rivals of a structure, and effects beside it, that are tried.
+_RIVALS, _ADDED = 2, 3
+
+
+def beside_rivals(
+    refits: Refits, here: Tried, tried: list[Tried], tell: Callable[[str], None]
+) -> list[Tried]:
+    """Structures with one of the effects that were just added, the best first, to a rival of the one before.
+
+    here : the structure before; tried : those with one effect more. What explained more counts also where it was no
+    answer: a lag had a share of more than all, as long as a gain lacked.
+    """
+    rivals = [
+        one
+        for one in (*refits.pool.values(), *refits.filters.values())
+        if len(one.key) == len(here.key) and len(one.key - here.key) == 1
+        and (one.arrived.cost <= here.arrived.cost or (one.log >= here.log - math.log(FACTOR) and not one.failed))
+    ]  # fmt: skip
+    more = sorted((t for t in tried if here.key < t.key), key=lambda t: t.arrived.cost)[:_ADDED]
+    made: list[Tried] = []
+    for rival in sorted(rivals, key=lambda t: t.arrived.cost)[:_RIVALS]:
+        gone = next(one for one in here.effects if one.candidate.key not in rival.key)
+        own = next(one for one in rival.effects if one.candidate.key not in here.key)
+        known = {n: v for n, v in rival.arrived.values.items() if n.startswith(f"{own.key}.")}
+        for one in more:
+            last = one.newest(here)
+            if last.candidate.key in rival.key or rival.key | {last.candidate.key} in refits.pool:
+                continue
+            ask()
+            tell(f"refit {rival.label} with {last.label}")
+            start = start_without(one.arrived, gone)
+            made += refits.tried((*rival.effects, last), replace(start, values={**start.values, **known}))
+    return made
