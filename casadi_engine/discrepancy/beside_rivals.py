@@ -1,7 +1,7 @@
 """What is added to a structure, added to its rivals too.
 
 Effects are added one at a time to what was chosen before; where another effect explained as much, the choice was none,
-and only the next one tells: behind a heater, whose gain was wrong too, a late heater and a late sensor left the same, and
+and only the next one tells: beside a heater whose gain was wrong, a late heater and a late sensor left the same, and
 what made up for the wrong one of them was a storage that was not there.
 """
 
