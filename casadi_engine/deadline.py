@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar, Token
 
 
@@ -130,6 +130,13 @@ def left() -> float:
     """Seconds that are left; inf without a deadline."""
     here = _current.get()
     return math.inf if here is None else here.left
+
+
+def ending_before(seconds: float, share: float) -> AbstractContextManager[object]:
+    """A deadline so many seconds before the one that holds, but for no more than a share of what is left until then;
+    none where none holds."""
+    until = left()
+    return Deadline(until - min(seconds, share * until)) if math.isfinite(until) else nullcontext()
 
 
 def best_wanted() -> bool:

@@ -10,6 +10,7 @@ from casadi_engine.deadline import (
     TimeUp,
     ask,
     best_wanted,
+    ending_before,
     is_set,
     late,
     left,
@@ -270,6 +271,14 @@ def test_lifted_no_deadline_holds(clock):
             ask(5.0)
             assert (late(), left()) == (False, math.inf)
         assert is_up()
+
+
+def test_what_ends_before_it_leaves_so_many_seconds_or_a_share():
+    with ending_before(3.0, 0.25):
+        assert left() == math.inf
+    for seconds, remaining in ((3.0, 17.0), (8.0, 15.0)):
+        with Deadline(20.0), ending_before(seconds, 0.25):
+            assert left() == pytest.approx(remaining, abs=0.5)
 
 
 def test_the_best_is_wanted_by_the_nearest_one_alone():

@@ -15,7 +15,7 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from casadi_engine.deadline import Deadline, TimeUp, ask, late
+from casadi_engine.deadline import Deadline, TimeUp, ask, ending_before, late
 from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.beside_rivals import beside_rivals
@@ -53,10 +53,11 @@ _KEPT = 1.0
 _SHARP = 0.5
 # Times as long as the search until then that sharp corners and what follows may last.
 _LONGER = 5.0
+# Share of the time that is left which is kept for a whole fit, at most.
+_WHOLE = 0.25
 # What a search that was ended in a round did not come to.
 ANY = "any effect"
-# Other structures that are gone on from where nothing helps beside the best one, and how much larger their chi-squared
-# may be.
+# Other structures that are gone on from where nothing helps beside the best one, and how much larger chi-squared is.
 _OTHERS, _NEARLY = 2, 2.0
 NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
@@ -84,6 +85,7 @@ class Choice:
     # of stations that were made before their corners were sharpened: where their refits had arrived
     _wide: dict[Key, Arrived] = field(default_factory=dict, repr=False)
     _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)
+    null_time: float = 0.0  # seconds that the fit without effects took, about what one with them takes
     _begun: float = field(default_factory=time.perf_counter, repr=False)
     _left_out: tuple[tuple[str, float], ...] = ()
     _beside: str = ""
@@ -354,7 +356,8 @@ class Choice:
 
         known : structures that were found to be better before, by exchange too
         """
-        tried = self._timed("refit", lambda: self._added(here, station))
+        with ending_before(self.null_time, _WHOLE):  # what a round finds is no answer without a whole fit
+            tried = self._timed("refit", lambda: self._added(here, station))
         tried += [self.pool[key] for key in known if self.pool[key] not in tried]
         if here.effects and not late():
             tried += self._timed("exchange", lambda: beside_rivals(self.refits, here, tried, self.tell))

@@ -324,6 +324,7 @@ class _Job:
             )
             refitter = Refitter(self.model, pars, searched.data, own_noise, options)
             self.search = search = Choice(refitter, scores, most, self.tell, self.deadline, scatter)
+            search.null_time = self.timing.get("null fit", 0.0)
             fresh = FreshChoice(search, searched, self.tell, [], work)
             search.idle_on_fresh = fresh.idle
             fault = self._searched(search, null_fit if lower is None else lower.fit)
