@@ -221,7 +221,12 @@ def unknown_of(screened: Screened) -> Unknown | None:
                 f"{words}, at which {output} itself swings: something changes how it is driven or dies out",
                 alarms,
             )
-        return Unknown(f"{words}: something acts, or is picked up by the sensor, at that frequency", alarms)
+        words += ": something acts, or is picked up by the sensor, at that frequency"
+        if (
+            family is not None and alarms.get(family.name, 1.0) < alarms[leftover.line]
+        ):  # lines of what it drives
+            words += f", or {law_words(screened.null.model, family)}"
+        return Unknown(words, alarms)
     if family is None or course is None or family.name not in alarms:
         if leftover.driven_line is not None:
             inputs = leftover.driven[leftover.driven_line]

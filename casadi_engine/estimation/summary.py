@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from casadi_engine.parameters import Parameter
 
 LINES, COLUMNS = 45, 100
+# Standard deviations beyond which a sample is no noise, where a robust loss is to say so.
+_WILD = 5.0
 # Rows of each part at most; what is left out is said in words.
 ROWS = {"fit": 6, "parameters": 20, "initial": 4, "correlations": 5, "directions": 3, "gain": 4}
 STRONG = 0.5
@@ -214,8 +216,14 @@ def _gain(fit: Fit) -> list[str]:
 def cost_words(fit: Fit) -> str:
     """The cost, what it is per sample, and what that can tell."""
     text = f"{number(fit.cost, '.7g')}   chi2/N {number(fit.cost / fit.n if fit.n else None, '.4g')}"
-    squares = not loss_of(fit).robust  # a robust loss has the level of the inner residuals
-    if squares and fit.noise and all(estimated for _, estimated in fit.noise.values()):
+    loss = loss_of(fit)
+    if loss.robust:  # which has the level of the inner residuals
+        pairs = ((one, fit.noise[name][0]) for own in fit.traces.values() for name, one in own.items())
+        r = np.abs(np.concatenate([one.residual[one.mask] / sigma for one, sigma in pairs]))
+        beyond, wild = int((r > loss.knee).sum()), int((r > _WILD).sum())
+        text += f" (by size and not by its square beyond {loss.knee:.3g} sigma: {beyond} of {fit.n} samples"
+        text += f", {wild} of them beyond {_WILD:g} sigma)" if wild else ")"
+    elif fit.noise and all(estimated for _, estimated in fit.noise.values()):
         text += " (near 1 by construction: sigma is estimated)"
     return text + f"   dof {number(fit.dof, '.6g')}"
 

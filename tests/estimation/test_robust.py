@@ -1,5 +1,7 @@
 """Huber's loss: outliers, the sandwich error, and the loss function itself."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -43,6 +45,17 @@ def test_outliers_hurt_least_squares_and_not_huber(fixed_input):
             found.append([fit.values[name] - value for name, value in TRUTH.items()])
     ratio = np.std(errors["square"], axis=0) / np.std(errors["huber"], axis=0)
     assert (ratio > 2).all()
+
+
+def test_how_many_samples_are_bounded_is_printed(fixed_input):
+    """One sample of 500 K among 200 made chi2/N 148, and nothing was said of it."""
+    noise = ce.Noise(omega=0.1)
+    wild, calm = (
+        " ".join(str(ce.estimate(ce.one_inertia(), data, loss="huber", noise=noise, progress=False)).split())
+        for data in (fixed_input(1), fixed_input(1, 0.0))
+    )
+    assert re.search(r"beyond 1.34 sigma: \d+ of 300 samples, \d+ of them beyond 5 sigma\)", wild)
+    assert re.search(r"beyond 1.34 sigma: \d+ of 300 samples\)", calm)
 
 
 def test_without_outliers_huber_loses_five_percent(fixed_input):
