@@ -42,6 +42,8 @@ def told_as_one_law(repair: Repair) -> Repair:
     if not said and (words := may_be_a_product(repair.fit, repair.effects)):
         said = {repair.effects[0].at: words}
     if not said:
+        said = {at: words for at, own in ports.items() if (words := _at_its_bound(own))}
+    if not said:
         beside = [words for at, own in ports.items() if (words := _beside_own_terms(repair.fit, at, own))]
         return replace(repair, messages=(*beside, *repair.messages)) if beside else repair
     port, words = next(iter(said.items()))
@@ -61,6 +63,22 @@ def _said(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
     if signal is None:
         return ""
     return f"{names} add up to a curve over {signal}, which keeps its sign in the records: {_LAW}"
+
+
+def _at_its_bound(own: Sequence[FoundEffect]) -> str:
+    """What is said of an effect of which a number of its shape has gone to its bound: a storage that takes as long as
+    the record is a drift, and nothing shows that it gives back. A share may well be all or nothing."""
+    for one in own:
+        size, *shape = one.parameters
+        del size
+        known = {name: one.parameters[name] for name in shape}
+        ended = [
+            n.rpartition(".")[2] for n, own in known.items() if own.at_bound and own.unit not in ("1", "-")
+        ]
+        if ended:
+            verb = "has gone to its bound" if len(ended) == 1 else "have gone to their bounds"
+            return f"{' and '.join(ended)} of {one.name} at {one.at} {verb}, so that nothing shows its shape: {_LAW}"
+    return ""
 
 
 def _is_told(one: Estimate) -> bool:

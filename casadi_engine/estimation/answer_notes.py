@@ -181,7 +181,7 @@ def of_the_noise(
         if one.neighbours is not None:
             found.append(
                 f"the residual of {key} is not white (neighbours correlate by {one.neighbours:.2f}): the model lacks "
-                f"something, and {then}; see validate"
+                f"something, or has a lower optimum (starts=10 looks for one), and {then}; see validate"
             )
     for own in varied:
         keys = " and ".join(f"{search.records[own.at].experiment.name}/{name}" for name in own.outputs)

@@ -161,3 +161,22 @@ def test_laws_at_two_ports_that_add_one_curve_to_an_equation_are_told_so(turned,
     )
     assert told.messages[0].startswith(said) == curve
     assert told.verdict == ("class" if curve else "named")
+
+
+@pytest.mark.parametrize(
+    ("bound", "unit", "law"), [("max", "s", True), (False, "s", False), ("max", "1", False)]
+)
+def test_a_shape_at_its_bound_is_none_that_was_seen(bound, unit, law):
+    """Evaporation was "a storage behind the bath" with a time as long as the record; a share of 1 is all of it."""
+    made = found(("hidden_storage", "bath", 0.04, None))
+    (one,) = made.effects
+    numbers = {
+        **one.parameters,
+        "bath.hidden_storage.time": Estimate(7200.0, None, unit, at_bound=bound, quadratic=9.0),
+    }
+    made = replace(made, effects=(replace(one, parameters=numbers),))
+    told = told_as_one_law(made)
+    assert told.verdict == ("class" if law else "named")
+    assert (told.unknown is not None) == law
+    words = "time of hidden_storage at bath has gone to its bound, so that nothing shows its shape: a law"
+    assert any(text.startswith(words) for text in told.messages) == law
