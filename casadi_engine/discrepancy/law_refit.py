@@ -181,9 +181,8 @@ def _most_probable(
     course, alike = _course(best, one.null, one.setup, levels), len(tried.effects) > 1
     families = [own.setup.family for own in followed]
     rivals = not_told_from(one.setup.family, list(zip(families, odds, strict=True)))
-    return UnknownLaw(
-        course, log - named.log, share, alike, near_of(tried, one.setup.family.port), rivals=rivals
-    )
+    near = near_of(tried, one.setup.family.port, one.setup.family.signal)
+    return UnknownLaw(course, log - named.log, share, alike, near, rivals=rivals)
 
 
 def _takes_the_colour(before: NullModel, after: NullModel) -> bool:

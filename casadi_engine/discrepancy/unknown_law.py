@@ -45,6 +45,7 @@ from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import (
+    TIME,
     Course,
     Family,
     course_of,
@@ -131,12 +132,15 @@ class UnknownLaw:
         return self.share < self.near or imitated
 
 
-def near_of(tried: Tried, port: str) -> float:
-    """Share of what a function at a port does that effects have to explain to stay the answer."""
+def near_of(tried: Tried, port: str, signal: str) -> float:
+    """Share of what a function of a signal at a port does that effects have to explain to stay the answer: no law of
+    the motion is nearly what drifts."""
     # a wrong value is the mean of what a parameter is that changes
     laws = [one for one in tried.effects if one.is_law and not port.startswith("parameter_")]
     # one with several numbers of shape, as an overflow, bends to any curve and is to explain it all
-    there = any(one.candidate.port == port and len(one.nuisance) <= _SHAPES for one in laws)
+    there = signal != TIME and any(
+        one.candidate.port == port and len(one.nuisance) <= _SHAPES for one in laws
+    )
     return _NEAR if there else _NEAR_OF_OTHERS
 
 
@@ -202,7 +206,7 @@ def unknown_law(
         log,
         share,
         several,
-        near_of(tried, port),
+        near_of(tried, port, best.family.signal),
         further_by,
         price,
         others=_first_of(found),
