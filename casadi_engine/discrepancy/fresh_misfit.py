@@ -248,7 +248,8 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     confirms nothing then, whether or not errors of the parameters would explain what is left. Errors of sensors alone
     are not named where fresh data do not confirm them, or do not fit with them: an offset or a delay bends to what any
     missing law does to one record. Nor is anything where the time was up before laws of no name were tried, nor are
-    events, at times that one record alone knows, where fresh data do not fit.
+    events, at times that one record alone knows, where fresh data do not fit, nor is what fresh data do not confirm and
+    one of their outputs is further off with than without.
     """
     held = _held(repair)
     judged = held.gaps is not None and held.gaps.validation_after is not None
@@ -272,12 +273,28 @@ def held_to_fresh_data(repair: Repair) -> Repair:
             f"{names} describes the gap best, but several effects together may imitate another one, and more than a "
             "tenth of the squared gap of the fresh data is left, coloured"
         )
+    elif judged and held.confirmed is not True and held.effects and (worse := _worse(held)) is not None:
+        words = (
+            f"{names} describes the gap best, but fresh data do not confirm it, and what it leaves of {worse} there is "
+            "more than without it"
+        )
     elif held.effects and held.unknown is not None and laws_were_cut(repair):
         return replace(held, confirmed=None)
     else:
         return held
     unknown = repair.unknown or Unknown(words, {one.key: one.p_value for one in held.effects})
     return withdrawn(held, _why(held), unknown)
+
+
+def _worse(repair: Repair) -> str | None:
+    """The output of which effects leave more on fresh data than the model without them does, as a person sees it."""
+    gaps = repair.gaps
+    if gaps is None or gaps.validation_before is None or gaps.validation_after is None:
+        return None
+    before, after = gaps.validation_before.gap.rmse, gaps.validation_after.gap.rmse
+    grown = {name: after[name] / size for name, size in before.items() if name in after and size > 0}
+    worst = max(grown, key=lambda name: grown[name], default=None)
+    return worst if worst is not None and grown[worst] > 1 + SEEN else None
 
 
 def laws_were_cut(repair: Repair) -> bool:
