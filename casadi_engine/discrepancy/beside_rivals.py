@@ -15,8 +15,10 @@ from casadi_engine.deadline import ask
 from casadi_engine.discrepancy.in_place import start_without
 from casadi_engine.discrepancy.refits import FACTOR, Refits, Tried
 
-# Rivals of a structure, and effects beside it, that are tried.
-_RIVALS, _ADDED = 2, 3
+# Effects that are tried beside each of the rivals, the best rival first.
+_ADDED = (3, 3, 1, 1, 1)
+# Part of what the best of these takes away by which the chi-squared of rivals may differ.
+_ALIKE = 0.1
 
 
 def beside_rivals(
@@ -27,19 +29,23 @@ def beside_rivals(
     here : the structure before; tried : those with one effect more. What explained more counts also where it was no
     answer: a lag had a share of more than all, as long as a gain lacked.
     """
+    more = sorted((t for t in tried if here.key < t.key), key=lambda t: t.arrived.cost)
+    if not more:
+        return []
+    # what differs by a small part of what the further effects take away tells nothing of what is below them
+    alike = here.arrived.cost + _ALIKE * max(here.arrived.cost - more[0].arrived.cost, 0.0)
     rivals = [
         one
         for one in (*refits.pool.values(), *refits.filters.values())
         if len(one.key) == len(here.key) and len(one.key - here.key) == 1
-        and (one.arrived.cost <= here.arrived.cost or (one.log >= here.log - math.log(FACTOR) and not one.failed))
+        and (one.arrived.cost <= alike or (one.log >= here.log - math.log(FACTOR) and not one.failed))
     ]  # fmt: skip
-    more = sorted((t for t in tried if here.key < t.key), key=lambda t: t.arrived.cost)[:_ADDED]
     made: list[Tried] = []
-    for rival in sorted(rivals, key=lambda t: t.arrived.cost)[:_RIVALS]:
+    for rival, most in zip(sorted(rivals, key=lambda t: t.arrived.cost), _ADDED, strict=False):
         gone = next(one for one in here.effects if one.candidate.key not in rival.key)
         own = next(one for one in rival.effects if one.candidate.key not in here.key)
         known = {n: v for n, v in rival.arrived.values.items() if n.startswith(f"{own.key}.")}
-        for one in more:
+        for one in more[:most]:
             last = one.newest(here)
             if last.candidate.key in rival.key or rival.key | {last.candidate.key} in refits.pool:
                 continue

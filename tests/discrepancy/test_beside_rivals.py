@@ -64,8 +64,12 @@ def test_a_rival_gets_what_was_added_the_best_first_from_where_that_ended():
 @pytest.mark.parametrize(
     ("rival", "tried"),
     [
-        (Structure(LATE_SENSOR, cost=101.0, log=-51.0), True),  # worse by less than the odds
-        (Structure(LATE_SENSOR, cost=101.0, log=-51.0, failed=True), False),
+        (Structure(LATE_SENSOR, cost=110.0, log=-51.0), True),  # worse by less than the odds
+        (Structure(LATE_SENSOR, cost=110.0, log=-51.0, failed=True), False),
+        (
+            Structure(LATE_SENSOR, cost=108.0, log=-90.0),
+            True,
+        ),  # by little of the 90 that were taken away then
         (
             Structure(LATE_SENSOR, cost=99.0, log=-51.0, failed=True),
             True,
