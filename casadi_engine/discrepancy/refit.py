@@ -27,6 +27,7 @@ from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Estimate, Fit, estimate
 from casadi_engine.estimation.corner_widths import courses, paths_of
 from casadi_engine.estimation.followed import not_followed
+from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -39,6 +40,8 @@ from casadi_engine.simulation.propagator import switches_with_states
 
 # Iterations of one try; of one that holds an amplitude; and of one that is to show that it cannot be held.
 _ITERATIONS, _FEWER, _GLANCE = 60, 30, 10
+# Times that a fit goes on along a valley.
+_FURTHER = 4
 # Share of where its search started at which an amplitude is none.
 _GONE = 1e-6
 # Intervals into which a record is cut for laws with sharp corners.
@@ -199,6 +202,10 @@ class Refitter:
             fit is not None and not fit.converged and math.isfinite(fit.cost)
         ):  # often it is a step short of it
             fit = _better(self._try(model, pars, Start.of(fit), most=_FEWER), fit)
+        for _ in range(_FURTHER):  # along a valley, as what lacks a second effect may have one
+            if fit is None or ONE_STEP not in fit.status:
+                break
+            fit = _better(self._try(model, pars, Start.of(fit)), fit)
         if fit is None or not fit.converged:
             far = Start(start.values, {}, {}, False)
             fit = _better(fit, self._try(model, pars, far))

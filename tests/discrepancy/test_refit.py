@@ -263,6 +263,27 @@ def test_a_fit_that_does_not_converge_goes_on_and_then_begins_with_its_values_al
         assert (starts[2].values, starts[2].initial, starts[2].converged) == (start.values, {}, False)
 
 
+@pytest.mark.parametrize(("creeps", "arrives"), [(3, True), (9, False)])
+def test_a_fit_that_creeps_along_a_valley_goes_on(motored, loss, monkeypatch, creeps, arrives):
+    """A ferry with a steady wind, whose rudder is late too: without the lag the fit with the wind was a step short of
+    its optimum, and so a load that began after 15 s was named in its place."""
+    fit, _, refitter = motored
+    one, start = loss
+    real, starts = Refitter._try, []
+
+    def tried(self, model, pars, warm, **options):
+        starts.append(warm)
+        made = real(self, model, pars, warm, **options)
+        if len(starts) <= creeps:
+            return replace(made, status="not converged: one more step would still lower chi-squared by 0.256")
+        return made
+
+    monkeypatch.setattr(Refitter, "_try", tried)
+    found = refitter(fit, [one], start=start)
+    assert found.converged == arrives
+    assert len([warm for warm in starts if warm is not start]) <= 6  # and then one from elsewhere
+
+
 def test_a_model_that_fails_at_every_start_has_no_fit(motored, loss, monkeypatch):
     fit, _, refitter = motored
     one, start = loss
