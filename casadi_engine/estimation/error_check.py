@@ -154,7 +154,9 @@ def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
         text = f"{', '.join(doubt.text for doubt in own)}: no symmetric error"
         said.append(text if kind in ("bound", "uneven") else max(own, key=lambda doubt: doubt.size).text)
     if said and missing and all(doubt.profiles for doubt in doubts):
-        said[-1] += f"; for {', '.join(missing)} call ce.profile(fit){OR_CALL}"
+        # of what has a value in each record there is no profile
+        call = CALL if any("@" in name for name in missing) else f"call ce.profile(fit){OR_CALL}"
+        said[-1] += f"; for {', '.join(missing)} {call}"
     return said
 
 

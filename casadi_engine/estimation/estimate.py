@@ -36,7 +36,7 @@ from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.second_look import LOWER, looked_at_twice
 from casadi_engine.estimation.short_intervals import short_enough
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
-from casadi_engine.estimation.unused_parameters import held_if_unused
+from casadi_engine.estimation.unused_parameters import held_if_unused, not_asked
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
@@ -192,7 +192,8 @@ def estimate(
             raise
         raise KeyboardInterrupt from None  # there is no point yet
     fit = _as_asked(fit, _own(model, parameters) if warm is None else None, time.perf_counter() - begun)
-    fit = replace(fit, messages=(*idle, *fit.messages))
+    asked_for = () if within else not_asked(arguments["parameters"], [record.name for record in records])
+    fit = replace(fit, messages=(*idle, *asked_for, *fit.messages))
     if asked.stopped and fit.status != "interrupted":
         return replace(fit, status="interrupted", messages=(_ENDED, *fit.messages))
     return fit

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import casadi as ca
 
 from casadi_engine.model import Model
@@ -30,6 +32,24 @@ def held_if_unused(model: Model, parameters: Parameters) -> tuple[str, ...]:
         "another value; if it should act, its name in an equation may be misspelt"
         for name in unused
     )
+
+
+def not_asked(parameters: Parameters, records: Collection[str]) -> tuple[str, ...]:
+    """What is said of a set and nothing in the fit asks for: priors of parameters that are fixed, and values for
+    records that are not among the data."""
+    found = [
+        f"{name} is fixed at {one.value:.6g}: its prior, {one.prior[0]:.6g} ± {one.prior[1]:.2g}, is not asked"
+        for name, one in parameters.items()
+        if one.prior is not None and not one.vary and one.tie is None
+    ]
+    for name, one in parameters.items():
+        others = [record for record in one.own_records if record not in records]
+        if one.varies_by_experiment and others:
+            found.append(
+                f"{name} has its own value for {', '.join(others)}, which is none of the records "
+                f"({', '.join(records)}): look whether a name is misspelt"
+            )
+    return tuple(found)
 
 
 def _signals(model: Model) -> list[ca.SX]:

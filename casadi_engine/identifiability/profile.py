@@ -132,7 +132,7 @@ def profile(
     *names: str,
     points: int = 9,
     level: float = 0.95,
-    progress: Callable[[str, int], Any] | None = None,
+    progress: Callable[[str, int], Any] | bool | None = None,
 ) -> Profile:
     """Profile likelihood of free parameters: the cost as each is held at values around the estimate, the rest refitted.
 
@@ -141,7 +141,7 @@ def profile(
 
     fit : a converged Fit; names : free parameters (default: all)
     points : values on each side up to the interval's end; level : of the intervals
-    progress : None, or a function of (name, number of refits so far)
+    progress : None or False, or a function of (name, number of refits so far)
 
     The interval ends where the cost, with the noise level of the fit, has risen by the chi-squared quantile with one
     degree of freedom; where the noise level was estimated, by the F quantile with the fit's degrees of freedom,
@@ -163,6 +163,13 @@ def profile(
     check_likelihood(fit, "a profile")
     check_level(level)
     points = whole("points", points, 2)
+    if progress not in (None, False) and not callable(progress):
+        raise EstimationError(
+            "progress is not acceptable",
+            seen=repr(progress),
+            allowed="None, False, or a function of (name, number of refits so far)",
+            cure="leave it out",
+        )
     known = [name for name in fit.free if name in fit.parameters and fit.parameters[name].vary]
     for name in names:
         if name not in known:
@@ -177,6 +184,11 @@ def profile(
     quantile = f_isf(beyond, 1, fit.dof) if estimated and fit.dof > 0 else chi2_isf(beyond, 1)
     walker = _Walker(fit, float(quantile), points, progress)
     lines = {name: walker.line(name) for name in dict.fromkeys(names or known)}
+    by_record = [name for name in fit.free if name not in known]
+    if by_record and not names:
+        walker.messages.append(
+            f"{', '.join(by_record)}: what has a value in each record has no profile; call ce.posterior(fit)"
+        )
     return Profile(fit, lines, level, walker.refits, tuple(dict.fromkeys(walker.messages)))
 
 
@@ -341,7 +353,7 @@ class _Walker:
             fit = self._nearby(held, guess, last)
         except CasadiEngineError as error:
             return f"{LOST} failed: {error.problem}"
-        if self.progress is not None:
+        if self.progress:
             self.progress(name, self.refits)
         if not fit.converged:
             return f"{LOST} did not converge: {fit.status}"

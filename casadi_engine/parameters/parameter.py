@@ -140,6 +140,11 @@ class Parameter:
     def varies_by_experiment(self, new: Any) -> None:
         self._refuse("varies_by_experiment", new)
 
+    @property
+    def own_records(self) -> tuple[str, ...]:
+        """The records for which a value of its own was given."""
+        return tuple(self._own)
+
     def in_record(self, record: str) -> tuple[float, float, float]:
         """Value, min and max in a record: those given to ``vary_by_experiment``, else those of all records."""
         own = self._own.get(record) if self.varies_by_experiment else None

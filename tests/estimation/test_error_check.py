@@ -16,6 +16,8 @@ import casadi_engine as ce
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import error_check
 from casadi_engine.estimation import record as records
+from casadi_engine.estimation.doubt import Doubt
+from casadi_engine.estimation.error_check import words_of
 
 REST = {"initial": {"x": 0.0, "w": 0.0}, "progress": False}
 TIME = np.linspace(0, 1, 50)
@@ -229,6 +231,19 @@ def test_no_error_is_known_where_more_is_left_than_followed(others, colour, told
     assert left == (not told)
     assert (fit.stderr["w"] is None) == (not told)
     assert fit.estimates["w"].interval is None
+
+
+@pytest.mark.parametrize(
+    ("missing", "call"),
+    [
+        (["Ks"], "for Ks call ce.profile(fit), or ce.posterior(fit)"),
+        (["Ks", "P@lean"], "for Ks, P@lean call ce.posterior"),
+    ],
+)
+def test_what_is_called_for_can_be_called(missing, call):
+    """A parameter with a value in each record has no profile, which a note advised."""
+    (said,) = words_of([Doubt("curved", "it is not quadratic", np.zeros(2), 0.2)], missing)
+    assert call in said
 
 
 def test_a_bound_within_two_errors_is_named():

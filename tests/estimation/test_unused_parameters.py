@@ -56,3 +56,26 @@ def test_what_has_a_prior_or_a_tie_is_asked_for() -> None:
     fit = ce.estimate(model, record, parameters=pars)
     assert abs(fit.values["idle"] - 1.0) < 0.05
     assert "idle" in fit.free
+
+
+def test_what_a_set_says_and_nothing_asks_for_is_said():
+    """A prior on what is fixed, 15 standard deviations away, and a misspelt record went by in silence."""
+    b = ce.Blueprint("decay")
+    rate, size = b.parameter("k", 0.5, min=0.01, max=10), b.parameter("a", 1.0, min=0.1, max=5)
+    x = b.state("x")
+    b.ode("x", -rate * size * x)
+    b.output("y", x)
+    time = np.arange(100) * 0.02
+    noise = 0.02 * np.random.default_rng(0).standard_normal(100)
+    data = ce.Experiment.from_arrays("run", time=time, units={"y": "1"}, y=np.exp(-1.2 * time) + noise)
+    pars = b.model().parameters()
+    pars["a"].set(prior=(3, 0.1))
+    pars.fix("a", 1.0)
+    pars.vary_by_experiment("k", values={"rum": 1.0})
+    said = ce.estimate(b.model(), data, parameters=pars, progress=False).messages
+    assert "a is fixed at 1: its prior, 3 ± 0.1, is not asked" in said
+    words = "k has its own value for rum, which is none of the records (run): look whether a name is misspelt"
+    assert words in said
+    pars.vary_by_experiment("k", values={"run": 1.0})
+    pars.free("a")
+    assert not ce.estimate(b.model(), data, parameters=pars, progress=False).messages

@@ -155,6 +155,32 @@ def test_ties_and_progress():
     assert seen[-1] == ("J_eng", found.refits)
     low, high = found.intervals["J_eng"]
     assert low < fit.values["J_eng"] < high
+    assert profile(fit, points=2, progress=False).intervals == found.intervals
+    with pytest.raises(
+        EstimationError, match="progress is not acceptable; seen: 'bar'; allowed: None, False"
+    ):
+        profile(fit, points=2, progress="bar")
+
+
+def test_what_has_a_value_in_each_record_is_said_to_have_no_profile():
+    b = ce.Blueprint("decay")
+    rate, size = b.parameter("k", 0.5, min=0.01, max=10), b.parameter("a", 1.0, min=0.1, max=5)
+    x = b.state("x")
+    b.ode("x", -rate * x)
+    b.output("y", size * x)
+    time = np.arange(60) * 0.03
+    noise = 0.02 * np.random.default_rng(0).standard_normal((2, 60))
+    data = [
+        ce.Experiment.from_arrays(name, time=time, units={"y": "1"}, y=1.3 * np.exp(-k * time) + e)
+        for name, k, e in zip(("one", "two"), (1.2, 0.8), noise, strict=True)
+    ]
+    pars = b.model().parameters()
+    pars.vary_by_experiment("k")
+    fit = ce.estimate(b.model(), data, parameters=pars, initial={"x": 1.0}, progress=False)
+    found = profile(fit, points=2)
+    assert list(found.lines) == ["a"]
+    assert found.messages[-1].startswith("k@one, k@two: what has a value in each record has no profile")
+    assert not profile(fit, "a", points=2).messages
 
 
 def test_messages():
