@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
     from casadi_engine.effects.sensor import (
         SensorDelay,
+        SensorDrift,
         SensorGain,
         SensorLag,
         SensorOffset,
@@ -67,6 +68,7 @@ __all__ = [
     "QuadraticDrag",
     "Relaxation",
     "SensorDelay",
+    "SensorDrift",
     "SensorGain",
     "SensorLag",
     "SensorOffset",
@@ -105,6 +107,7 @@ import_at_first_use(
         "casadi_engine.effects.inputs": ("InputDelay", "InputGain", "InputLag", "InputOffset", "InputPath"),
         "casadi_engine.effects.sensor": (
             "SensorDelay",
+            "SensorDrift",
             "SensorGain",
             "SensorLag",
             "SensorOffset",

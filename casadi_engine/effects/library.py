@@ -15,6 +15,7 @@ from casadi_engine.effects.parameter import WrongValue
 from casadi_engine.effects.protocol import Effect
 from casadi_engine.effects.sensor import (
     SensorDelay,
+    SensorDrift,
     SensorGain,
     SensorLag,
     SensorOffset,
@@ -53,6 +54,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         CylinderImbalance(),
         LoadStep(),
         SensorOffset(),
+        SensorDrift(),
         SensorDelay(),
         SensorLag(),
         SensorGain(),

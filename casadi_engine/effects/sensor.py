@@ -1,4 +1,4 @@
-"""Sensors that do not show what is there, by an offset, a delay, a lag or a gain."""
+"""Sensors that do not show what is there, by an offset, a drift, a delay, a lag or a gain."""
 
 from __future__ import annotations
 
@@ -50,6 +50,43 @@ class SensorOffset(Effect):
         """The offset."""
         del port, math
         return p.offset
+
+
+@dataclass(frozen=True)
+class SensorDrift(Effect):
+    """A sensor whose zero wanders evenly, y + drift (t - first)/span (in the output's unit): by warming up, ageing, a
+    charge that leaks.
+
+    span : time [s] in which it is off by the drift; None takes the length of the record, 1 s where none is known
+    first : time [s] at which it is right: where the record begins
+
+    >>> SensorDrift().describe("sensor_pressure")
+    'a drift of sensor_pressure'
+    """
+
+    span: float | None = None
+    first: float = 0.0
+
+    name = "sensor_drift"
+    attaches = ("sensor",)
+    kin = ("sensor_offset", "sensor_gain", "constant_torque")
+    sentence = "a drift of {port}"
+    amplitude = Amplitude("drift", unit=None)
+
+    def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
+        """The same over the length of a record, where no span was given."""
+        del values
+        name = port.name.partition("_")[2]
+        if self.span is not None or name not in record:
+            return self
+        time = record[name].time
+        length = float(f"{float(time[-1] - time[0]):.4g}")
+        return replace(self, span=length, first=float(time[0])) if length > 0 else self
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """drift (t − first)/span."""
+        del math
+        return p.drift * (port.time - self.first) / (1.0 if self.span is None else self.span)
 
 
 @dataclass(frozen=True)
