@@ -109,7 +109,7 @@ def several():
     return b.model()
 
 
-SENSORS = {"sensor_offset", "sensor_delay", "sensor_lag", "sensor_gain"}
+SENSORS = {"sensor_offset", "sensor_drift", "sensor_delay", "sensor_lag", "sensor_gain"}
 CASES = {
     "mass": (mass(), {"body": AT_SPEED}),
     "pendulum": (pendulum(), {"pivot": AT_SPEED}),

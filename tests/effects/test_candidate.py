@@ -287,7 +287,7 @@ def test_the_library_by_name():
         "coulomb_friction", "viscous_friction", "quadratic_drag", "stribeck_friction", "asymmetric_friction",
         "constant_torque",
         "ground_spring", "cubic_stiffness", "backlash", "hidden_storage", "relaxation",
-        "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_delay",
+        "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_drift", "sensor_delay",
         "sensor_lag",
             "sensor_gain",
         "input_gain",
