@@ -251,7 +251,7 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     events, at times that one record alone knows, where fresh data do not fit, nor is what fresh data do not confirm and
     one of their outputs is further off with than without.
     """
-    held = _held(repair)
+    held = _with_what_is_worse(_held(repair))
     judged = held.gaps is not None and held.gaps.validation_after is not None
     as_noise = fresh_misfit(repair) is None or is_louder(repair)
     fits = (as_noise or _left(repair) ** 2 <= SEEN) and held.confirmed is not False
@@ -291,10 +291,30 @@ def _worse(repair: Repair) -> str | None:
     gaps = repair.gaps
     if gaps is None or gaps.validation_before is None or gaps.validation_after is None:
         return None
-    before, after = gaps.validation_before.gap.rmse, gaps.validation_after.gap.rmse
-    grown = {name: after[name] / size for name, size in before.items() if name in after and size > 0}
+    return _further_off(gaps.validation_before.gap, gaps.validation_after.gap)
+
+
+def _further_off(before: Gap, after: Gap) -> str | None:
+    grown = {n: after.rmse[n] / size for n, size in before.rmse.items() if n in after.rmse and size > 0}
     worst = max(grown, key=lambda name: grown[name], default=None)
     return worst if worst is not None and grown[worst] > 1 + SEEN else None
+
+
+def _with_what_is_worse(repair: Repair) -> Repair:
+    """The same, with a word on an output that is further off with the effects than without, in these data or fresh
+    ones: what closes most of the gap elsewhere may be all that is said else."""
+    gaps = repair.gaps
+    if gaps is None or not repair.effects:
+        return repair
+    sides = [("", gaps.estimation_before, gaps.estimation_after)]
+    if gaps.validation_before is not None and gaps.validation_after is not None:
+        sides.append((" on fresh data", gaps.validation_before, gaps.validation_after))
+    for where, before, after in sides:
+        if (name := _further_off(before.gap, after.gap)) is not None:
+            sizes = f"{before.gap.rmse[name]:.3g} to {after.gap.rmse[name]:.3g}"
+            words = f"{name} is further off with what was found than without it{where} (rmse {sizes}): more is missing"
+            return replace(repair, messages=(words, *repair.messages))
+    return repair
 
 
 def laws_were_cut(repair: Repair) -> bool:

@@ -334,6 +334,18 @@ def test_what_fresh_data_do_not_fit_is_no_name_where_laws_were_not_tried(repaire
     assert ", or a law that the library lacks, which was not tried, unconfirmed" in headline(told)
 
 
+@pytest.mark.parametrize(("size", "told"), [(1.2, True), (1.05, False)])
+def test_an_output_that_is_further_off_is_told_beside_what_is_confirmed(repaired, size, told):
+    """A lag of one sensor was named and confirmed, and what it left of the other output doubled without a word."""
+    side = repaired.gaps.estimation_after
+    rmse = {"omega": size * repaired.gaps.estimation_before.gap.rmse["omega"]}
+    worse = replace(side, gap=replace(side.gap, rmse=rmse))
+    held = held_to_fresh_data(replace(repaired, gaps=replace(repaired.gaps, estimation_after=worse)))
+    assert held.effects
+    words = "omega is further off with what was found than without it (rmse 0.146 to 0.175): more is missing"
+    assert (words in held.messages) == told
+
+
 @pytest.mark.parametrize(
     ("after", "confirmed", "named"), [(1.2, False, False), (1.05, False, True), (1.2, None, False)]
 )
