@@ -190,12 +190,14 @@ class Sweep:
 
     def _fewest(self, first: Array, last: Array) -> int:
         """The fewest substeps that follow the change of A within a sample: a constant A is solved in any step."""
+        # a slope that is infinite, as that of a root at 0, is followed by no step: what it enters has no numbers
+        known = np.isfinite(first) & np.isfinite(last)
+        first, last = (np.where(known, one, 0.0) for one in (first, last))
         largest = np.maximum(np.abs(first), np.abs(last))
-        moved, size = (np.abs(self._scaled(one)).sum(axis=2) for one in (last - first, largest))
-        size *= self.path.lengths.max()
+        h = float(self.path.lengths.max())
+        moved, size = (h * np.abs(self._scaled(one)).sum(axis=2) for one in (last - first, largest))
         most = min(max(1, math.ceil(size.max(initial=0.0) / _STEP)), _MOST_SUBSTEPS)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(size > 0, moved * self.path.lengths.max() / size, 0.0)
+        share = np.divide(moved, size, out=np.zeros_like(size), where=size > 0)
         for wanted in range(1, most):
             acts = np.minimum(1.0, size / wanted) ** 3
             if (acts * share).max(initial=0.0) / wanted <= _UNSOLVED:

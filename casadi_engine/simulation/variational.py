@@ -100,9 +100,10 @@ def scan(f: Array, push: Array, start: Array) -> Array:
 
 
 def balance(a: Array) -> Array:
-    """(n,) factors by which states are divided so that rows and columns of A (T, n, n) have like sizes."""
+    """(n,) factors by which states are divided so that rows and columns of A (T, n, n) have like sizes; a slope that is
+    infinite, as that of a root at 0, says nothing of these."""
     from scipy.linalg import matrix_balance
 
-    mean = np.abs(a).mean(axis=0)
+    mean = np.where(np.isfinite(a), np.abs(a), 0.0).mean(axis=0)
     _, (scale, _) = matrix_balance(mean, permute=False, separate=True)
     return np.asarray(scale, dtype=np.float64)

@@ -78,3 +78,11 @@ def test_balancing_makes_a_stiff_spring_small():
     a = np.array([[[0.0, 3e7], [-1.0, 0.0]]])
     scale = balance(a)
     assert np.abs(a / scale[:, None] * scale).sum(axis=1).max() < 2e4
+
+
+def test_an_infinite_slope_says_nothing_of_the_sizes_of_states():
+    """That of a root at 0: a bare ValueError of the balance ended the search."""
+    plain = np.array([[[-1.0, 100.0], [0.01, -2.0]]] * 2)
+    wild = plain.copy()
+    wild[1, 0, 0] = np.inf
+    np.testing.assert_allclose(balance(wild), balance(plain))
