@@ -101,15 +101,13 @@ def _fits(null: NullModel, fit: Fit, first: ca.SX, second: ca.SX) -> bool:
 
 def _at(term: ca.SX, mean: float) -> ca.SX:
     """The mean in the row of a term."""
-    return ca.SX(ca.DM(term.sparsity(), 1.0)) * 0 + ca.vertcat(
-        *[mean if term.has_nz(k, 0) else 0 for k in range(term.numel())]
-    )
+    return ca.vertcat(*[mean if term.has_nz(k, 0) else 0 for k in range(term.numel())])
 
 
 def _stacked(null: NullModel, fit: Fit, one: Direction) -> tuple[Array, Array, Array]:
     """Of all records and outputs, in units of the noise: the direction (N,), the residual, and the fit's own slopes."""
-    columns, left, starts = [], [], [record.path.states * 0 + len(record.starts) for record in null.records]
-    base, many = [], null.turn.shape[1]
+    columns, left, base = list[Array](), list[Array](), list[Array]()
+    starts, many = [len(record.starts) for record in null.records], null.turn.shape[1]
     for k, record in enumerate(null.records):
         found = record.columns([one])
         for output, residual in record.residual.items():
