@@ -101,7 +101,7 @@ def _fits(null: NullModel, fit: Fit, first: ca.SX, second: ca.SX) -> bool:
 
 def _at(term: ca.SX, mean: float) -> ca.SX:
     """The mean in the row of a term."""
-    return ca.vertcat(*[mean if term.has_nz(k, 0) else 0 for k in range(term.numel())])
+    return ca.SX(ca.DM([mean if term.has_nz(k, 0) else 0.0 for k in range(term.numel())]))
 
 
 def _stacked(null: NullModel, fit: Fit, one: Direction) -> tuple[Array, Array, Array]:
