@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
-from casadi_engine.deadline import ask
+from casadi_engine.deadline import TimeUp, ask
 from casadi_engine.discrepancy.in_place import start_without
 from casadi_engine.discrepancy.refits import FACTOR, Refits, Tried
 
@@ -41,16 +42,26 @@ def beside_rivals(
         and (one.arrived.cost <= alike or (one.log >= here.log - math.log(FACTOR) and not one.failed))
     ]  # fmt: skip
     made: list[Tried] = []
-    for rival, most in zip(sorted(rivals, key=lambda t: t.arrived.cost), _ADDED, strict=False):
-        gone = next(one for one in here.effects if one.candidate.key not in rival.key)
-        own = next(one for one in rival.effects if one.candidate.key not in here.key)
-        known = {n: v for n, v in rival.arrived.values.items() if n.startswith(f"{own.key}.")}
-        for one in more[:most]:
-            last = one.newest(here)
-            if last.candidate.key in rival.key or rival.key | {last.candidate.key} in refits.pool:
-                continue
-            ask()
-            tell(f"refit {rival.label} with {last.label}")
-            start = start_without(one.arrived, gone)
-            made += refits.tried((*rival.effects, last), replace(start, values={**start.values, **known}))
+    with suppress(TimeUp):  # what was made so far is of use
+        for rival, most in zip(sorted(rivals, key=lambda t: t.arrived.cost), _ADDED, strict=False):
+            made += _given(refits, here, rival, more[:most], tell)
+    return made
+
+
+def _given(
+    refits: Refits, here: Tried, rival: Tried, more: list[Tried], tell: Callable[[str], None]
+) -> list[Tried]:
+    """A rival of a structure with each of the effects that were added to that."""
+    gone = next(one for one in here.effects if one.candidate.key not in rival.key)
+    own = next(one for one in rival.effects if one.candidate.key not in here.key)
+    known = {n: v for n, v in rival.arrived.values.items() if n.startswith(f"{own.key}.")}
+    made: list[Tried] = []
+    for one in more:
+        last = one.newest(here)
+        if last.candidate.key in rival.key or rival.key | {last.candidate.key} in refits.pool:
+            continue
+        ask()
+        tell(f"refit {rival.label} with {last.label}")
+        start = start_without(one.arrived, gone)
+        made += refits.tried((*rival.effects, last), replace(start, values={**start.values, **known}))
     return made

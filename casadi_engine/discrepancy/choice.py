@@ -358,9 +358,9 @@ class Choice:
         """
         with ending_before(self.null_time, _WHOLE):  # what a round finds is no answer without a whole fit
             tried = self._timed("refit", lambda: self._added(here, station))
+            if here.effects:
+                tried += self._timed("exchange", lambda: beside_rivals(self.refits, here, tried, self.tell))
         tried += [self.pool[key] for key in known if self.pool[key] not in tried]
-        if here.effects and not late():
-            tried += self._timed("exchange", lambda: beside_rivals(self.refits, here, tried, self.tell))
         self._timed("evidence", self.refits.weigh)
         tried += self._timed("exchange", lambda: self._without_idle(tried))
         chosen = self._chosen_of(here, station, tried)

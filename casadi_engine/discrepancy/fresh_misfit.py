@@ -312,7 +312,10 @@ def _with_what_is_worse(repair: Repair) -> Repair:
     for where, before, after in sides:
         if (name := _further_off(before.gap, after.gap)) is not None:
             sizes = f"{before.gap.rmse[name]:.3g} to {after.gap.rmse[name]:.3g}"
-            words = f"{name} is further off with what was found than without it{where} (rmse {sizes}): more is missing"
+            words = (
+                f"the residual of {name} is larger with what was found than without it{where} (rmse {sizes})"
+            )
+            words += ": more is missing"
             return replace(repair, messages=(words, *repair.messages))
     return repair
 

@@ -69,15 +69,16 @@ def _at_its_bound(own: Sequence[FoundEffect]) -> str:
     """What is said of an effect of which a number of its shape has gone to its bound: a storage that takes as long as
     the record is a drift, and nothing shows that it gives back. A share may well be all or nothing."""
     for one in own:
-        size, *shape = one.parameters
-        del size
-        known = {name: one.parameters[name] for name in shape}
+        shape = list(one.parameters.items())[1:]
         ended = [
-            n.rpartition(".")[2] for n, own in known.items() if own.at_bound and own.unit not in ("1", "-")
+            n.rpartition(".")[2] for n, value in shape if value.at_bound and value.unit not in ("1", "-")
         ]
         if ended:
-            verb = "has gone to its bound" if len(ended) == 1 else "have gone to their bounds"
-            return f"{' and '.join(ended)} of {one.name} at {one.at} {verb}, so that nothing shows its shape: {_LAW}"
+            verb = "is at its bound" if len(ended) == 1 else "are at their bounds"
+            return (
+                f"{' and '.join(ended)} of {one.name} at {one.at} {verb}, so that the data do not determine its shape: "
+                f"{_LAW}"
+            )
     return ""
 
 

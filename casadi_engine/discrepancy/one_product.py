@@ -42,8 +42,8 @@ def may_be_a_product(fit: Fit | None, effects: Sequence[FoundEffect]) -> str:
                 if _fits(null, fit, first, second):
                     return (
                         f"{one.name} at {one.at} and {other.name} at {other.at} act on one equation, by signals that "
-                        "move together too little to tell their sum from a product: one law of both, that the library "
-                        "lacks, may be the true one there"
+                        "vary too little for the data to tell their sum from a product: one law of both signals, that "
+                        "the library lacks, may be the true one there"
                     )
     return ""
 

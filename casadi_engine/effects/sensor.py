@@ -58,7 +58,8 @@ class SensorDrift(Effect):
     charge that leaks.
 
     span : time [s] in which it is off by the drift; None takes the length of the record, 1 s where none is known
-    first : time [s] at which it is right: where the record begins
+    first : time [s] at which it is right: where the record begins, of several the first one, so that a drift goes on in
+        a later part of one log; start the times of records that were begun anew at the same number
 
     >>> SensorDrift().describe("sensor_pressure")
     'a drift of sensor_pressure'

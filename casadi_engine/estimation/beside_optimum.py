@@ -99,8 +99,8 @@ def _left(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> li
             if not coloured:
                 continue
             text = (
-                f"the simulation leaves more of {record.experiment.name}/{', '.join(names)} than it follows, and that "
-                "is no noise: the errors are not known; search from elsewhere, as by starts=10 or "
+                f"more than half of the variance of {record.experiment.name}/{', '.join(names)} is left, and the "
+                "residual is not white: the errors are not known; search from elsewhere, as by starts=10 or "
                 "approach='prediction', or look what the model lacks"
             )
             return [Doubt("lost", text, np.zeros(len(errors.covariance.matrix)))]

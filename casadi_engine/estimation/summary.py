@@ -221,7 +221,7 @@ def cost_words(fit: Fit) -> str:
         pairs = ((one, fit.noise[name][0]) for own in fit.traces.values() for name, one in own.items())
         r = np.abs(np.concatenate([one.residual[one.mask] / sigma for one, sigma in pairs]))
         beyond, wild = int((r > loss.knee).sum()), int((r > _WILD).sum())
-        text += f" (by size and not by its square beyond {loss.knee:.3g} sigma: {beyond} of {fit.n} samples"
+        text += f" ({beyond} of {fit.n} samples are beyond {loss.knee:.3g} sigma and count less than their squares"
         text += f", {wild} of them beyond {_WILD:g} sigma)" if wild else ")"
     elif fit.noise and all(estimated for _, estimated in fit.noise.values()):
         text += " (near 1 by construction: sigma is estimated)"

@@ -38,7 +38,7 @@ def not_asked(parameters: Parameters, records: Collection[str]) -> tuple[str, ..
     """What is said of a set and nothing in the fit asks for: priors of parameters that are fixed, and values for
     records that are not among the data."""
     found = [
-        f"{name} is fixed at {one.value:.6g}: its prior, {one.prior[0]:.6g} ± {one.prior[1]:.2g}, is not asked"
+        f"{name} is fixed at {one.value:.6g}: its prior, {one.prior[0]:.6g} ± {one.prior[1]:.2g}, is not used"
         for name, one in parameters.items()
         if one.prior is not None and not one.vary and one.tie is None
     ]

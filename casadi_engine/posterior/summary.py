@@ -109,7 +109,7 @@ def _noise(post: Posterior) -> list[str]:
     wide = grown[most] / max(least, 1.0)
     others = f"; those of others may be up to {wide:.2g} times too wide" if wide >= NARROW else ""
     return [
-        "the residual is not the white noise that is counted with, as far as one record tells: the log likelihood is "
+        "the residual is not white noise of the fit's level, as the likelihood has it: the log likelihood is "
         f"divided by {post.root:.3g}, so that the interval of {most} is as wide as its error in the fit asks{others}"
     ]
 

@@ -178,5 +178,7 @@ def test_a_shape_at_its_bound_is_none_that_was_seen(bound, unit, law):
     told = told_as_one_law(made)
     assert told.verdict == ("class" if law else "named")
     assert (told.unknown is not None) == law
-    words = "time of hidden_storage at bath has gone to its bound, so that nothing shows its shape: a law"
+    words = (
+        "time of hidden_storage at bath is at its bound, so that the data do not determine its shape: a law"
+    )
     assert any(text.startswith(words) for text in told.messages) == law

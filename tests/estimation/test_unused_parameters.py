@@ -73,7 +73,7 @@ def test_what_a_set_says_and_nothing_asks_for_is_said():
     pars.fix("a", 1.0)
     pars.vary_by_experiment("k", values={"rum": 1.0})
     said = ce.estimate(b.model(), data, parameters=pars, progress=False).messages
-    assert "a is fixed at 1: its prior, 3 ± 0.1, is not asked" in said
+    assert "a is fixed at 1: its prior, 3 ± 0.1, is not used" in said
     words = "k has its own value for rum, which is none of the records (run): look whether a name is misspelt"
     assert words in said
     pars.vary_by_experiment("k", values={"run": 1.0})
