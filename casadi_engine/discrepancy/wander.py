@@ -25,6 +25,9 @@ _LEAST = 0.05
 # Time constants from so many samples to this share of the record: longer ones are trends.
 _SHORTEST, _LONGEST = 1.5, 1 / 3
 _STEPS, _CLOSE = 40, 1e-3
+# A further wander that gains less than this at the best of the shapes that are tried is not worth a search: by it few
+# gain as much again, and Akaike's criterion asks for twice as much.
+_WORTH = 2.0
 # Standard error of a logarithm of which the data tell nothing.
 _DOUBT = 4.0
 # Power at frequency zero beside the white noise, from which the fit starts.
@@ -68,11 +71,7 @@ class Wander:
 
     def slopes(self, frequency: Array) -> Array:
         """(2 k, F) of log density in log variance and log time constant, one wander after the other."""
-        whole, out = self.density(frequency), []
-        for variance, time in zip(self.variance, self.time, strict=True):
-            up, down = (_process(time * np.exp(h), frequency) for h in (1e-4, -1e-4))
-            out += [variance * (up + down) / 2 / whole, variance * (up - down) / 2e-4 / whole]
-        return np.array(out)
+        return _with_slopes(self.variance, self.time, 4 * np.sin(frequency / 2) ** 2)[1]
 
     def predictors(self, size: int) -> tuple[tuple[Array, ...], Array]:
         """(1, -a_1, ..., -a_j) for j = 0..p, and the variances of their errors (Levinson & Durbin)."""
@@ -101,6 +100,17 @@ class Wander:
 def _process(time: Array, frequency: Array) -> Array:
     phi = np.exp(-1 / time)
     return np.asarray((1 - phi**2) / ((1 - phi) ** 2 + 4 * phi * np.sin(frequency / 2) ** 2))
+
+
+def _with_slopes(variance: Array, time: Array, turned: Array) -> tuple[Array, Array]:
+    """(F,) spectrum and (2 k, F) slopes of its logarithm; turned : (F,) 4 sin(w/2)^2."""
+    phi = np.exp(-1 / time)[:, None]
+    bottom = (1 - phi) ** 2 + phi * turned
+    each = variance[:, None] * (1 - phi**2) / bottom
+    longer = variance[:, None] * (-2 * phi - (1 - phi**2) * (turned - 2 * (1 - phi)) / bottom) / bottom
+    whole = 1 + each.sum(axis=0)
+    slopes = np.stack([each, longer * phi / time[:, None]], axis=1) / whole
+    return whole, slopes.reshape(2 * len(time), -1)
 
 
 def spectrum(noise: Array, valid: NDArray[np.bool_], density: Array | None = None) -> Spectrum | None:
@@ -135,7 +145,8 @@ def _edges(size: int) -> NDArray[np.intp]:
 
 
 def wander_of(found: Spectrum, count: int, start: Wander | None = None) -> Wander | None:
-    """The most likely white noise plus ``count`` wanders, by Fisher scoring; None where it has none.
+    """The most likely white noise plus ``count`` wanders, by Fisher scoring; None where it has none, or the last one is
+    worth nothing beside ``start``.
 
     start : the most likely one with fewer
     """
@@ -148,40 +159,48 @@ def wander_of(found: Spectrum, count: int, start: Wander | None = None) -> Wande
     grid = _SHORTEST * 2.0 ** np.arange(np.log2(longest / _SHORTEST) + 1e-9)
     shape = _process(grid[:, None, None], found.frequency)
     variance = _POWERS[:, None] / (2 * grid[:, None, None])
-    best = np.unravel_index(np.argmin(found.deviance(first + variance * shape)), (len(grid), len(_POWERS)))
+    each = found.deviance(first + variance * shape)
+    best = np.unravel_index(np.argmin(each), (len(grid), len(_POWERS)))
     made = Wander(np.append(given, variance[best[0], best[1], 0]), np.append(times, grid[best[0]]))
     if len(made.time) < count:
         return wander_of(found, count, made)
+    if start is not None and float(found.deviance(start.density(found.frequency))) - each.min() < _WORTH:
+        return None
     return _climbed(found, made, longest)
 
 
 def _climbed(found: Spectrum, made: Wander, longest: float) -> Wander:
     """Fisher scoring, its steps shortened until they gain."""
-    least, damp = float(found.deviance(made.density(found.frequency))), 1e-3
+    turned, total = 4 * np.sin(found.frequency / 2) ** 2, float(found.count.sum())
+    weighed = found.count * found.power
+
+    def at(variance: Array, time: Array) -> tuple[float, Array, Array]:
+        """Deviance but for a constant, and what the step to the next point follows from."""
+        density, slope = _with_slopes(variance, time, turned)
+        ratio = weighed / density
+        level = float(ratio.sum()) / total
+        slope -= (slope @ found.count / total)[:, None]  # the level moves along
+        value = float(found.count @ np.log(density)) + total * float(np.log(level))
+        return value, slope @ (ratio / level - found.count), (slope * found.count) @ slope.T
+
+    variance, time, damp = made.variance, made.time, 1e-3
+    least, gain, known = at(variance, time)
     for _ in range(_STEPS):
-        density = made.density(found.frequency)
-        level = (found.count * found.power / density).sum() / found.count.sum()
-        slope = made.slopes(found.frequency)
-        slope = slope - (slope @ found.count / found.count.sum())[:, None]  # the level moves along
-        rest = found.power / (level * density) - 1
-        gain = slope @ (found.count * rest)
-        information = (slope * found.count) @ slope.T
-        damped = information + damp * np.diag(np.diag(information) + 1e-6)
+        damped = known + damp * np.diag(known.diagonal() + 1e-6)
         step = np.clip(np.linalg.solve(damped, gain), -1.5, 1.5)
-        variance = made.variance * np.exp(step[::2])
-        time = np.clip(made.time * np.exp(step[1::2]), _SHORTEST, longest)
-        tried = Wander(np.clip(variance, *_VARIANCE), time)
-        value = float(found.deviance(tried.density(found.frequency)))
+        wider = np.clip(variance * np.exp(step[::2]), *_VARIANCE)
+        longer = np.clip(time * np.exp(step[1::2]), _SHORTEST, longest)
+        value, *rest = at(wider, longer)
         if value < least:
             done = least - value < _CLOSE
-            made, least, damp = tried, value, damp / 10
+            variance, time, least, (gain, known), damp = wider, longer, value, rest, damp / 10
             if done:
                 break
         else:
             damp = max(10 * damp, 1e-3)
             if damp > 1e6:
                 break
-    return made
+    return Wander(variance, time)
 
 
 def information(found: Spectrum, made: Wander) -> Array:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from casadi_engine.effects.functions import Sharp, Smooth
     from casadi_engine.effects.inputs import InputDelay, InputGain, InputLag, InputOffset, InputPath
     from casadi_engine.effects.library import library
+    from casadi_engine.effects.orifice import OrificeLeak
     from casadi_engine.effects.parameter import WrongValue
     from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
     from casadi_engine.effects.sensor import (
@@ -64,6 +65,7 @@ __all__ = [
     "LoadStep",
     "Misfire",
     "Motored",
+    "OrificeLeak",
     "Overflow",
     "QuadraticDrag",
     "Relaxation",
@@ -103,6 +105,7 @@ import_at_first_use(
             "ViscousFriction",
         ),
         "casadi_engine.effects.library": ("library",),
+        "casadi_engine.effects.orifice": ("OrificeLeak",),
         "casadi_engine.effects.parameter": ("WrongValue",),
         "casadi_engine.effects.inputs": ("InputDelay", "InputGain", "InputLag", "InputOffset", "InputPath"),
         "casadi_engine.effects.sensor": (

@@ -222,6 +222,12 @@ class StribeckFriction(_Rounded):
         low, high, top = (float(f"{end:.2g}") for end in (*span, fastest))
         return replace(self, span=(low, high), fastest=top)
 
+    def idle(self, port: Any) -> str:
+        """Where what acts is known to be no torque and no force: heat, charge and what flows have no such friction."""
+        if port.is_mechanical or port.quantity in ("term", "rate"):
+            return ""
+        return f"a {port.quantity} has no friction that fades"
+
     def beyond(self, values: Mapping[str, float]) -> bool:
         """True where it fades beyond all speeds of the records."""
         return values.get("fading", 0.0) > self.fastest

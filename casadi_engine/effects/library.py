@@ -11,6 +11,7 @@ from casadi_engine.effects.friction import (
     ViscousFriction,
 )
 from casadi_engine.effects.inputs import InputDelay, InputGain, InputLag, InputOffset, InputPath
+from casadi_engine.effects.orifice import OrificeLeak
 from casadi_engine.effects.parameter import WrongValue
 from casadi_engine.effects.protocol import Effect
 from casadi_engine.effects.sensor import (
@@ -65,6 +66,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         InputPath(),
         Transfer(),
         Overflow(),
+        OrificeLeak(),
         WrongValue(),
     )
     if not names:

@@ -254,7 +254,7 @@ class Port:
     @property
     def motion(self) -> str:
         """What an effect reads there, in words: speed, or the expression of the signal."""
-        own = next((n for n in ("speed", "twist_rate", "twist") if n in self.signals), "")
+        own = next((n for n in ("speed", "twist_rate", "twist", "difference") if n in self.signals), "")
         return "speed" if self.is_mechanical or not own else self.called(own)
 
     def called(self, signal: str) -> str:

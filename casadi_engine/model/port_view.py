@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import EffectError
-from casadi_engine.experiment.units import read_unit
+from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.model.declarations import ParameterDeclaration, Port
 from casadi_engine.parameters import near_matches
 
+# Dimensions of what drives a flow: a level, a pressure.
+_HEADS = ("m", read_unit("Pa").dimension)
 # An SX scalar -> its values (N,) along every record.
 Courses = Callable[[Any], Sequence[NDArray[np.float64]]]
 
@@ -77,10 +79,20 @@ class PortView:
         """True where a torque or a force acts."""
         return self._port.is_mechanical
 
+    @property
+    def quantity(self) -> str:
+        """What acts there, in words: torque, volume flow ..., "rate" or "term" where that is not told."""
+        return self._port.quantity
+
     def is_temperature(self, signal: str) -> bool:
         """True if the unit of a signal is one of temperature."""
         unit = self._port.units.get(signal)
         return unit is not None and read_unit(unit).dimension == "K"
+
+    def is_head(self, signal: str) -> bool:
+        """True if a signal of no machine is a pressure or, as its unit is one of length, a level."""
+        unit = self._port.units.get(signal, NOT_STATED)
+        return unit != NOT_STATED and not self.is_mechanical and read_unit(unit).dimension in _HEADS
 
     @property
     def declaration(self) -> ParameterDeclaration | None:

@@ -294,6 +294,7 @@ def test_the_library_by_name():
         "input_offset", "input_lag", "input_delay", "input_path",
         "transfer",
         "overflow",
+        "orifice_leak",
         "wrong_value",
     ]  # fmt: skip
     assert [e.name for e in effects.library("misfire", "backlash")] == ["misfire", "backlash"]
