@@ -8,7 +8,7 @@ from typing import Any
 from casadi_engine.effects.protocol import Attachment, Grid
 from casadi_engine.errors import EffectError
 from casadi_engine.experiment import Experiment
-from casadi_engine.experiment.experiment import with_unique_names
+from casadi_engine.experiment.experiment import given_records
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, near_matches
 
@@ -42,7 +42,7 @@ def by_record(
     >>> [pars["engine.load_step.time"].in_record(name) for name in ("a", "b")]
     [(0.4, 0.0, 1.99), (0.995, 0.0, 1.99)]
     """
-    records = with_unique_names((data,) if isinstance(data, Experiment) else tuple(data))
+    records = given_records(data)
     found = (model.parameters() if parameters is None else parameters).extended(model)
     starts = {} if starts is None else starts
     placed = {f"{one.key}.{name}": grid for one in model.effects for name, grid in _placed(one).items()}

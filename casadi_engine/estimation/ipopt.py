@@ -88,6 +88,14 @@ _WORDS = {
     "NonIpopt_Exception_Thrown": "the model could not be evaluated",
 }
 
+# Reasons that tell of the way to an optimum, not of the data: another way may lead there.
+BLOCKED = (
+    WALL,
+    _WORDS["Invalid_Number_Detected"],
+    _WORDS["Error_In_Step_Computation"],
+    _WORDS["Search_Direction_Becomes_Too_Small"],
+)
+
 # How the reason begins why a point is no optimum that is a step short of one.
 ONE_STEP = "one more step"
 OUT_OF_ITERATIONS = f"not converged: {_WORDS['Maximum_Iterations_Exceeded']}"

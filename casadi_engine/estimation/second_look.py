@@ -14,7 +14,7 @@ from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.followed import OTHERS, lost
-from casadi_engine.estimation.ipopt import ONE_STEP
+from casadi_engine.estimation.ipopt import BLOCKED, ONE_STEP
 from casadi_engine.estimation.lower_optimum import merit
 
 # Half of twice the log likelihood by which the second has to be better; seconds for it, and times those of the first.
@@ -47,7 +47,8 @@ def looked_at_twice(
 ) -> Fit:
     """The fit, or a better one of another search: of a fit that is lost by predictions over short pieces first and then
     from other starts, of one that is far from its start over whole records, whose states leave fewer ways to an
-    optimum.
+    optimum, as of one that came to where the model has no value: there intervals may begin at states that no
+    simulation passes.
 
     again(changes) : makes a fit with changed arguments, or from several starts; with_errors(fit, changes) : the same
     with its errors, which only one that is better is asked for; None where it has them
@@ -55,6 +56,11 @@ def looked_at_twice(
     kept = with_errors or (lambda found, _: found)
     plain = fit.options.get("approach") == "direct" and fit.options.get("starts") == 1
     short = ONE_STEP in fit.status  # of an optimum; what ran out of iterations was to take no more
+    if plain and any(words in fit.status for words in BLOCKED):
+        found = _another(fit, again, kept, {"interval": "single", "warm": None}, _TIMES, {}, _WORTH)
+        if found.converged:
+            return found
+        return _another(found, again, kept, {"starts": _STARTS}, _TIMES, {OTHERS: _STARTS}, _WORTH)
     if not plain or not (fit.converged or short):
         return fit
     if (

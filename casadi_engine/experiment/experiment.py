@@ -442,3 +442,18 @@ def with_unique_names(experiments: Iterable[Experiment]) -> tuple[Experiment, ..
         seen.add(name)
         result.append(experiment if name == experiment.name else experiment.renamed(name))
     return tuple(result)
+
+
+def given_records(data: Any) -> tuple[Experiment, ...]:
+    """One experiment or several that were given as such, each with a key of its own; ExperimentError for others."""
+    several = isinstance(data, Iterable) and not isinstance(data, str | bytes)
+    records = (data,) if isinstance(data, Experiment) else tuple(data) if several else (data,)
+    other = next((one for one in records if not isinstance(one, Experiment)), None)
+    if any(not isinstance(one, Experiment) for one in records):
+        raise ExperimentError(
+            "the data are no experiment",
+            seen=f"{type(other).__name__} {other!r:.60}",
+            allowed="an Experiment, or a sequence of them",
+            cure="read a file by ce.read_experiment(path), or make one by ce.Experiment.from_arrays",
+        )
+    return with_unique_names(records)

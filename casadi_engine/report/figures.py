@@ -282,7 +282,25 @@ def _save(figure: Figure, path: Any) -> None:
             allowed=", ".join("." + form for form in FORMATS),
             cure="give the file one of these endings",
         )
+    if _is_path(path) and os.path.isfile(path) and not _is_figure(path, ending):
+        raise OutputError(
+            f"a file of this name would be lost: {os.fsdecode(os.fspath(path))}",
+            seen=f"a file that is no {ending} figure",
+            allowed="a new file, or an earlier figure, which is replaced",
+            cure="give another name, or move the file away",
+        )
     write_file(path, drawn(figure, ending or "png", dpi=150))
+
+
+def _is_figure(path: Any, ending: str) -> bool:
+    """True if a file begins as one of its kind does, or is empty."""
+    try:
+        with open(path, "rb") as stream:
+            begun = stream.read(512)
+    except OSError:  # the writer says why
+        return True
+    marks = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<svg"}
+    return not begun or marks.get(ending, b"") in begun
 
 
 def _is_path(path: Any) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import casadi_engine
-from casadi_engine.errors import ParameterError
+from casadi_engine.errors import OutputError, ParameterError
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.summary import parameter_of
 from casadi_engine.experiment import Experiment
@@ -68,10 +68,31 @@ def write_result(path: Any, document: Mapping[str, Any]) -> Path:
 
 
 def save_result(result: Any, path: Any, command: str, seconds: float, seed: int | None) -> Path:
-    """Write a result as NAME.json, or as result.json into a folder, which is made; return the path of the file."""
+    """Write a result as NAME.json, or as result.json into a folder, which is made; return the path of the file.
+
+    OutputError where a file of that name is there that is no result.
+    """
     named = isinstance(path, str | os.PathLike) and not os.fsdecode(path).endswith(".json")
     file = os.path.join(os.fsdecode(path), "result.json") if named else path
+    _refuse_others(file)
     return write_result(file, to_result(result, command=command, arguments={}, seconds=seconds, seed=seed))
+
+
+def _refuse_others(path: Any) -> None:
+    """OutputError for a path under which there is a file that is no result."""
+    if not isinstance(path, str | os.PathLike) or not os.path.isfile(path):
+        return  # the writer says what else is wrong
+    try:
+        found = json.loads(Path(os.fsdecode(path)).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        found = None
+    if not isinstance(found, dict) or not {"schema", "command"} <= set(found):
+        raise OutputError(
+            f"a file of this name would be lost: {os.fsdecode(path)}",
+            seen="a file that is no result of this program",
+            allowed="a new file, or an earlier result, which is replaced",
+            cure="give another name, or move the file away",
+        )
 
 
 @singledispatch

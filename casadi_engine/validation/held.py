@@ -15,7 +15,7 @@ from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.known_starts import found_from_known
 from casadi_engine.estimation.summary import with_error
 from casadi_engine.experiment import Experiment
-from casadi_engine.experiment.experiment import with_unique_names
+from casadi_engine.experiment.experiment import given_records
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 
@@ -60,7 +60,7 @@ def parameters_for(fit: Fit, record: str) -> Parameters:
 
 def held_on(fit: Fit, data: Any, *, noise: Noise, method: str, loss: Any = "square") -> Fit:
     """A Fit of other records with the fit's parameters, initial states found; see ``parameters_for``."""
-    records = with_unique_names((data,) if isinstance(data, Experiment) else tuple(data))
+    records = given_records(data)
     if not records:
         raise EstimationError(
             "there are no fresh data to judge",

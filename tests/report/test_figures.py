@@ -242,3 +242,15 @@ def test_files_left_alone_when_writing_fails(tmp_path, fit, monkeypatch):
         plot(fit, what="parameters", path=path)
     assert path.read_bytes() == b"old"
     assert os.listdir(tmp_path) == ["fit.png"]
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_a_file_that_is_no_figure_is_not_replaced(fit, tmp_path, ending):
+    own, made = tmp_path / f"mine.{ending}", tmp_path / f"fit.{ending}"
+    own.write_text("my own notes")
+    with pytest.raises(OutputError, match=rf"a file of this name would be lost: .*mine\.{ending}"):
+        plot(fit, path=own)
+    assert own.read_text() == "my own notes"
+    for _ in range(2):  # an earlier figure is replaced
+        plot(fit, path=made)
+    assert made.stat().st_size > 1000

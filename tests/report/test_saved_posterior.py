@@ -78,3 +78,11 @@ def test_a_result_without_draws_says_so(post, tmp_path):
     file.write_text(json.dumps(document), encoding="utf-8")
     with pytest.raises(ResultError, match=r"no draws; seen: a result of fit"):
         _ = ce.load_result(tmp_path).draws
+
+
+def test_a_file_that_is_no_result_is_not_replaced(post, tmp_path):
+    own = tmp_path / "mine.json"
+    own.write_text('{"notes": 1}')
+    with pytest.raises(OutputError, match=r"a file of this name would be lost: .*mine\.json"):
+        post.save(own)
+    assert own.read_text() == '{"notes": 1}'
