@@ -115,6 +115,6 @@ class Impulse(Effect):
 
 
 def _one_sample(record: Any) -> float:
-    """The width of an event [s]: a sample of the record's slowest channel."""
-    gap = max(float(np.median(np.diff(record[name].time))) for name in record.names)
+    """The width of an event [s]: a sample of the fastest channel of the record, which shows how sharp it is."""
+    gap = min(float(np.median(np.diff(record[name].time))) for name in record.names)
     return float(f"{_SAMPLES * gap:.3g}")

@@ -67,21 +67,26 @@ def judged(
     told = (*(() if unchecked is None else (unchecked,)), *few)
     if not doubts or check is None:
         return Judged(_bent_ties(search, white, errors, estimates), initial, told)
+    doubts = tuple(sorted(doubts, key=lambda one: one.profiles))  # the graver ones first
     matrix, slopes = white.covariance.matrix, errors.slopes()
     with_error = [name for name, one in estimates.items() if one.stderr]
     free = [name for name in search.pmap.free if name in with_error and _of(doubts, slopes[name], matrix)]
     ends: dict[str, tuple[float, float]] = {}
     alike: set[str] = set()
     below: Array | None = None
-    if all(doubt.profiles for doubt in doubts):
+    grave = [doubt for doubt in doubts if not doubt.profiles]
+    told_by_profile = [name for name in free if _of(grave, slopes[name], matrix) is None]
+    if told_by_profile:
         profiles = Profiles(search, best, white, seconds=check, stretch=_stretch(white, errors))
         if all(
             one.are_mild for one in rises.values()
         ):  # else the others bend, to which they are held by slopes
-            plain = [name for name in free if name in rises and _all_plain(doubts, slopes[name], matrix)]
+            plain = [
+                name for name in told_by_profile if name in rises and _all_plain(doubts, slopes[name], matrix)
+            ]
             ends = _foreseen(search, profiles, {name: rises[name] for name in plain})
         try:
-            ends |= profiles.intervals([name for name in free if name not in ends])
+            ends |= profiles.intervals([name for name in told_by_profile if name not in ends])
         except LowerOptimumError as met:
             doubts, below = (_lower(doubts),), met.x
         alike = {name for name, one in ends.items() if _alike(estimates[name], one, profiles.root)}
@@ -96,12 +101,20 @@ def judged(
     felt = [doubt for doubt in about.values() if doubt is not None]
     # states go along with parameters whose intervals are not symmetric
     even = bool(alike) and alike == set(ends)
-    felt += _states_judged(search, white, errors, doubts, of_states, initial, but_shape=even)
-    own = [doubt for doubt in doubts if any(doubt is one for one in felt)]
+    of_first = _states_judged(search, white, errors, doubts, of_states, initial, but_shape=even)
+    # graver ones of first states alone hide none of the parameters
+    beside = (
+        [one for one in of_first if not one.profiles] if felt and all(one.profiles for one in felt) else []
+    )
+    own = [
+        doubt for doubt in doubts if any(doubt is one for one in (*felt, *of_first)) and doubt not in beside
+    ]
     said = words_of(own, [name for name in free if about[name] is not None and name not in ends])
     alone = sum(one.starts for one in optima) < _SEVERAL and not all(one.linear for one in search.records)
     if said and ends and alone and any(one.profiles and one.size > FLAT for one in own):
         said[-1] += "; the intervals are of the one optimum that was found: starts=10 looks for others"
+    of_states_alone = ("the errors are not known", "the errors of first states are not known")
+    said += [words.replace(*of_states_alone, 1) for words in words_of(beside, [])]
     if not any(one.stderr for one in estimates.values()):  # none is left that could be of the curvature
         told = few
     return Judged(_bent_ties(search, white, errors, estimates), initial, (*said, *told), below)

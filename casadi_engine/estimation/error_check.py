@@ -245,28 +245,45 @@ class _Around:
         sides = [min(FAR, _room(*ends, here, side * way)) for side in (-1.0, 1.0)]
         if min(sides) < _NEAR:  # a bound is close, and that is said of it
             return None
-        fars = -sides[0], sides[1]
-        there = [self._simulated(move, far, printed=printed) for far in fars]
+        gone = [self._as_far_as_it_goes(move, far, printed=printed) for far in (-sides[0], sides[1])]
+        fars, there = (gone[0][0], gone[1][0]), [one[1] for one in gone]
         if there[0] is None or there[1] is None:
             return [self._without_value(move)]
+        edge = [] if fars == (-sides[0], sides[1]) else [self._without_value(move, fars)]
         if self._plainly(fars, there[0], there[1]):
-            return []
+            return edge
         if self._integrated(move, fars, printed=printed):  # steps that do at the optimum may not do there
             there = [self._simulated(move, far, printed=printed) for far in fars]
         back, forth = there
         if back is None or forth is None:
             return [self._without_value(move)]
         if self._plainly(fars, back, forth):
-            return []
+            return edge
         low, bent, off = self._seen(move, fars[0], back)
         high, other, away = self._seen(move, fars[1], forth)
         curvature = max(bent, other)
         if curvature > RUGGED:
             curvature = self._own_curvature(move, fars, curvature, printed=printed)
-        return self._told(move, (low, high), curvature, np.maximum(off, away))
+        return self._told(move, (low, high), curvature, np.maximum(off, away)) + edge
 
-    def _without_value(self, move: Array) -> Doubt:
+    def _as_far_as_it_goes(self, move: Array, far: float, *, printed: bool) -> tuple[float, _There | None]:
+        """How far along a line the model has a value, and what is there; None where it has none but beside the optimum.
+
+        A state below 0 under a root has none: that is a bound of what leads there.
+        """
+        there = self._simulated(move, far, printed=printed)
+        while there is None and abs(far) > 2 * _NEAR:
+            far = far / 2
+            there = self._simulated(move, far, printed=printed)
+        return far, there
+
+    def _without_value(self, move: Array, fars: tuple[float, float] | None = None) -> Doubt:
+        """fars : how far the model has one to both sides, in standard errors; None where that is hardly anywhere."""
         names = _names_along(self.search, move)
+        if fars is not None:
+            least = min(-fars[0], fars[1])
+            text = f"the model has no value {2 * least:g} standard errors along {names}"
+            return Doubt("curved", text, move, FLAT)
         text = (
             f"the errors are not known: within {FAR:g} standard errors along {names} the model has no value"
         )
