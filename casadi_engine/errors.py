@@ -90,6 +90,10 @@ class EstimationError(CasadiEngineError):
     """An estimation was asked for with options that do not fit."""
 
 
+class NoValueError(EstimationError):
+    """A model has no value where a search ended."""
+
+
 class NotIdentifiableError(EstimationError):
     """The data leave directions of the free parameters undetermined."""
 

@@ -314,7 +314,8 @@ class Answer:
         if not found and law is not None and ahead(self.search) > law.log:
             return claim  # what was refitted says more than what a function does along the motion without it
         if rival is None or law is None:
-            if unknown is not None and unknown.port and (looked or asked) and self._was_cut("unknown law"):
+            cut = self._was_cut("unknown law") or self._was_cut("refitted law")
+            if unknown is not None and unknown.port and (looked or asked) and cut:
                 claim = replace(claim, unknown=replace(unknown, sentence=as_untried(unknown.sentence)))
             return claim.withdrawn_for(claim.unknown, null, BEHIND_LAW) if told and law is None else claim
         if not found and unknown is None and law.log < -math.log(self._rare):  # by their odds alone

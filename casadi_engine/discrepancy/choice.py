@@ -22,7 +22,6 @@ from casadi_engine.discrepancy.beside_rivals import beside_rivals
 from casadi_engine.discrepancy.exchange import (
     exchanged,
     in_its_parts,
-    is_far,
     is_rounding,
     known_twins,
     late_otherwise,
@@ -272,10 +271,9 @@ class Choice:
                 continue
             if self.station_of(one) is not None:
                 self.best = one.key
-                # then rivals of each of the two may not have arrived beside the other
-                if is_far(self.refits, one):
-                    best = self._timed("exchange", lambda: self._exchanged(one, self.pool[frozenset()]))  # noqa: B023
-                    self.best = one.key if self.station_of(best) is None else best.key
+                # rivals of each of the two were not tried beside the other
+                best = self._timed("exchange", lambda: self._exchanged(one, self.pool[frozenset()]))  # noqa: B023
+                self.best = one.key if self.station_of(best) is None else best.key
             return
 
     @property

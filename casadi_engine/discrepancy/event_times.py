@@ -58,7 +58,7 @@ def in_each_record(refits: Refits, tried: Tried, one: Addition) -> Iterator[tupl
     for record in data:
         name = f"{one.key}.time" if f"{one.key}.time" in values else f"{one.key}.time@{record.name}"
         size = values.get(f"{one.amplitude}@{record.name}", values.get(one.amplitude))
-        gone = without_effect(null, one, len(refits.null_fit.model.states), only=record.name)
+        gone = without_effect(null, one, only=record.name)
         if name not in values or not size or gone is None:
             continue
         only = record.name if len(data) > 1 else None

@@ -55,7 +55,7 @@ def at_another_time(
         None if own is None or not member.moves else step_in_place(refits, tried, member, screened, families)
     )
     null = None if step is None else refits.null(tried)
-    gone = None if null is None else without_effect(null, member, len(refits.null_fit.model.states))
+    gone = None if null is None else without_effect(null, member)
     if own is None or step is None or gone is None:
         return []
     alone = _in_one_record(refits, tried, member)
@@ -101,8 +101,8 @@ def step_in_place(
     asked = (member.candidate.key, tuple(families), id(screened), tuple(refits.path.levels.items()))
     known = refits.steps.get(tried)
     if known is None or known[0] != asked:
-        null, states = refits.null(tried), len(refits.null_fit.model.states)
-        gone = None if null is None else without_effect(null, member, states)
+        null = refits.null(tried)
+        gone = None if null is None else without_effect(null, member)
         members = sorted(k for own in families.values() for k in own)
         step = None if gone is None else one_step(gone, screened.candidates, refits.path.levels, members)
         refits.steps[tried] = known = (asked, step)

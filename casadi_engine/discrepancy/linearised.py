@@ -101,29 +101,32 @@ def _step_of_members(
     return OneStep(cost, amplitude, error, own.none, between)
 
 
-def without_effect(null: NullModel, one: Addition, states: int, only: str | None = None) -> NullModel | None:
+def without_effect(null: NullModel, one: Addition, only: str | None = None) -> NullModel | None:
     """The model linearised where an effect is, without it, or without it in one record: candidates are to take its
     place; what it does in other records stays as it is.
 
-    What its amplitude does to the outputs is to be explained along with the residual, by the others' slopes.
-    states : how many the model has without effects
+    What its amplitude does to the outputs is to be explained along with the residual, by the others' slopes; where
+    states of its own began changes nothing then.
     """
     size = np.diag(null.turn)
     plain = null.turn.shape == (len(null.values),) * 2 and np.array_equal(null.turn, np.diag(size))
-    if not plain or len(null.model.states) != states:
+    if not plain:
         return None
     names = [name.partition("@")[0] for name in null.parameters]
     gone = [k for k, name in enumerate(names) if name.startswith(f"{one.key}.")]
     # a nuisance value moves nothing once its effect is gone; an amplitude goes to zero
     zero = [k for k in gone if names[k] == one.amplitude]
+    stem = f"{one.key.replace('.', '_')}_"
     records = []
     for record in null.records:
         slopes, residual = {}, {}
+        own_starts = [k for k, name in enumerate(record.starts, len(size)) if name.startswith(stem)]
         for output, own in record.slopes.items():
             done = own[:, zero] @ (null.values[zero] / size[zero]) if only in (None, record.name) else 0.0
             residual[output] = record.residual[output] + done
-            slopes[output] = np.delete(own, gone, axis=1)
-        records.append(replace(record, slopes=slopes, residual=residual))
+            slopes[output] = np.delete(own, gone + own_starts, axis=1)
+        starts = tuple(name for name in record.starts if not name.startswith(stem))
+        records.append(replace(record, slopes=slopes, residual=residual, starts=starts))
     return replace(
         null,
         turn=np.delete(null.turn, gone, axis=1),

@@ -171,6 +171,7 @@ class Effect:
         what is read ("speed", or the signal's expression)
     neutral : the clause for ports where no torque or force acts; "" for the same
     negative : the clause where the amplitude is below 0 and that is another thing; "" for the same
+    neutral_negative : the same where no torque and no force acts
     fixed_only : True if it is looked for at no parameter that is estimated, which would do the same
     slides : True for a law of what slides; elsewhere it is named after what the data do not tell from it
     retards : True if the amplitude is the time [s] by which a sensor is late: whole samples of it are then read off
@@ -199,6 +200,7 @@ class Effect:
     sentence: ClassVar[str] = ""
     neutral: ClassVar[str] = ""
     negative: ClassVar[str] = ""
+    neutral_negative: ClassVar[str] = ""
     fixed_only: ClassVar[bool] = False
     slides: ClassVar[bool] = False
     retards: ClassVar[bool] = False
@@ -301,8 +303,10 @@ class Effect:
 
     def worded_for(self, port: Any, size: float) -> str:
         """The same for an amplitude of this size."""
-        if size < 0 and self.negative:
-            return self._filled(self.negative, port.name, port.quantity, port.motion)
+        acts = port.is_mechanical or port.ends
+        other = self.negative if acts else self.neutral_negative or self.negative
+        if size < 0 and other:
+            return self._filled(other, port.name, port.quantity, port.motion)
         return self.worded(port)
 
     def _filled(self, text: str, port: str, effort: str, motion: str) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.errors import EstimationError
+from casadi_engine.errors import NoValueError
 from casadi_engine.estimation.answer_notes import (
     against_priors,
     errors_then,
@@ -192,8 +192,8 @@ def _first_states(search: Search, states: Iterable[dict[str, Estimate]]) -> dict
     }
 
 
-def _no_numbers(best: Attempt, fault: FloatingPointError) -> EstimationError:
-    return EstimationError(
+def _no_numbers(best: Attempt, fault: FloatingPointError) -> NoValueError:
+    return NoValueError(
         "the model cannot be evaluated where the search ended",
         seen=f"{best.solution.status}; {fault}",
         allowed="values at which the equations give finite numbers",

@@ -33,7 +33,7 @@ from casadi_engine.estimation.nothing_left import nothing_left
 from casadi_engine.estimation.options import begun_at, chosen, seconds_for_intervals, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Attempt, Search
-from casadi_engine.estimation.second_look import LOWER, looked_at_twice
+from casadi_engine.estimation.second_look import LOWER, looked_at_twice, or_whole
 from casadi_engine.estimation.short_intervals import short_enough
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.unused_parameters import held_if_unused, not_asked
@@ -233,7 +233,10 @@ def _followed_up(
         whole = again({"interval": found.options["interval"]} | there)
         return whole if whole.converged and merit(whole) <= merit(found) + LOWER else again(changed)
 
-    fit = from_wide_corners(lambda changed: run(arguments | changed, *how), again, arguments)
+    def begun(more: dict[str, Any]) -> Fit:
+        return from_wide_corners(lambda changed: run(arguments | more | changed, *how), again, arguments)
+
+    fit = begun({}) if alone else or_whole(begun)
     fit = in_time(lambda: follow_delays(fit, arguments["parameters"], again), lambda: fit)
     arguments["model"] = fit.model
     fit = _with_sharp_corners(fit, arguments, again)

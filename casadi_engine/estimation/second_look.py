@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, late
-from casadi_engine.errors import CasadiEngineError
+from casadi_engine.errors import CasadiEngineError, NoValueError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.followed import OTHERS, lost
 from casadi_engine.estimation.ipopt import BLOCKED, ONE_STEP
@@ -75,6 +75,18 @@ def looked_at_twice(
             return found
         return _another(found, again, kept, {"starts": _STARTS}, _TIMES, searched, _WORTH)
     return over_whole_records(fit, again, kept) if fit.converged else fit
+
+
+def or_whole(begun: Callable[[dict[str, Any]], Fit]) -> Fit:
+    """The first fit of a model; over whole records, whose states it can reach, where its search ended at a point at
+    which it has no value."""
+    try:
+        return begun({})
+    except NoValueError as fault:
+        try:
+            return begun({"interval": "single", "warm": None})
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            raise fault from None
 
 
 def over_whole_records(

@@ -78,7 +78,7 @@ DRY = SimpleNamespace(key="load.dry", amplitude="load.dry.torque")
 
 def test_what_an_effect_explains_is_left_to_others_and_its_numbers_are_gone():
     null = hand_made(np.diag([1.0, 0.5, 2.0, 1.0]))
-    found = without_effect(null, DRY, 1)
+    found = without_effect(null, DRY)
     old, (new,) = null.records[0], found.records
     np.testing.assert_allclose(new.residual["y"], old.residual["y"] + old.slopes["y"][:, 1] * 2.0 / 0.5)
     np.testing.assert_array_equal(new.slopes["y"], old.slopes["y"][:, [0, 3, 4]])
@@ -89,8 +89,8 @@ def test_what_an_effect_explains_is_left_to_others_and_its_numbers_are_gone():
 
 def test_what_an_effect_does_in_other_records_may_stay():
     null = hand_made(np.diag([1.0, 0.5, 2.0, 1.0]))
-    here, elsewhere = without_effect(null, DRY, 1, only="run"), without_effect(null, DRY, 1, only="other")
-    every = without_effect(null, DRY, 1)
+    here, elsewhere = without_effect(null, DRY, only="run"), without_effect(null, DRY, only="other")
+    every = without_effect(null, DRY)
     np.testing.assert_array_equal(here.records[0].residual["y"], every.records[0].residual["y"])
     np.testing.assert_array_equal(elsewhere.records[0].residual["y"], null.records[0].residual["y"])
     np.testing.assert_array_equal(elsewhere.records[0].slopes["y"], every.records[0].slopes["y"])
@@ -99,18 +99,27 @@ def test_what_an_effect_does_in_other_records_may_stay():
 def test_amplitudes_by_record_go_together():
     null = hand_made(np.eye(4))
     null = replace(null, parameters=("k", "load.dry.torque@a", "load.dry.torque@b", "load.dry_too.torque"))
-    found = without_effect(null, DRY, 1)
+    found = without_effect(null, DRY)
     slopes = null.records[0].slopes["y"]
     wanted = null.records[0].residual["y"] + slopes[:, 1:3] @ [2.0, 3.0]
     np.testing.assert_allclose(found.records[0].residual["y"], wanted)
 
 
-def test_directions_that_are_mixed_and_effects_with_states_have_no_way_back():
+def test_directions_that_are_mixed_have_no_way_back():
     mixed = np.eye(4)
     mixed[0, 1] = 0.3
-    assert without_effect(hand_made(mixed), DRY, 1) is None
-    assert without_effect(hand_made(np.eye(4)[:, :3]), DRY, 1) is None
-    assert without_effect(hand_made(np.eye(4)), DRY, 2) is None
+    assert without_effect(hand_made(mixed), DRY) is None
+    assert without_effect(hand_made(np.eye(4)[:, :3]), DRY) is None
+
+
+def test_where_a_state_of_its_own_began_goes_with_it_and_others_stay():
+    """Nothing was exchanged beside a lag or a storage, as the model had more states than without effects."""
+    null = hand_made(np.eye(4))
+    slopes = np.column_stack([null.records[0].slopes["y"], np.ones(6)])
+    record = replace(null.records[0], slopes={"y": slopes}, starts=("load_dry_stored", "load_dryer_stored"))
+    found = without_effect(replace(null, records=(record,)), DRY)
+    assert found.records[0].starts == ("load_dryer_stored",)
+    np.testing.assert_array_equal(found.records[0].slopes["y"], slopes[:, [0, 3, 5]])
 
 
 def test_in_its_own_place_an_effect_comes_back_with_its_size(pendulum):
@@ -122,7 +131,7 @@ def test_in_its_own_place_an_effect_comes_back_with_its_size(pendulum):
     one = addition(drag, 0.01)
     path = Path(pendulum.refitter(data), {"y": pendulum.level})
     end = path.from_point([one], Start.of(fit))
-    rest = without_effect(path.null_at([one], end), one, 2)
+    rest = without_effect(path.null_at([one], end), one)
     step = one_step(rest, candidates, path.levels)
     k = candidates.index(drag)
     assert step.amplitude[k] == pytest.approx(end.values[one.amplitude], rel=0.02)
