@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -15,6 +16,7 @@ from casadi_engine.cli.options import Options
 from casadi_engine.errors import ResultError
 
 if TYPE_CHECKING:
+    from casadi_engine.model import Model
     from casadi_engine.parameters import Parameters
     from casadi_engine.problem import Problem
 
@@ -35,9 +37,19 @@ def as_repaired(path: Path, problem: Problem) -> Problem:
     ResultError for an effect that is none of the library's.
     """
     found = _document(path)
+    if found.get("equations") not in (None, equations_of(problem.model)):
+        say(
+            f"The equations of {problem.model.name} are not those that {path} was made with: its values may mean "
+            "something else here"
+        )
     if found.get("command") != "repair":
         return problem
     return _with_holds(_with_effects(path, problem, found.get("effects") or ()), found.get("with_hold") or {})
+
+
+def equations_of(model: Model) -> str:
+    """By which equations are known again: a digest of their text."""
+    return hashlib.sha256(model.equations().encode()).hexdigest()
 
 
 def _with_effects(path: Path, problem: Problem, added: Iterable[Mapping[str, Any]]) -> Problem:

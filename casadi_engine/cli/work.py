@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from casadi_engine.cli.earlier import equations_of
 from casadi_engine.cli.folder import make_folder
 from casadi_engine.cli.job import Job, say, uninterrupted
 from casadi_engine.cli.shell_words import in_shell
@@ -95,6 +96,8 @@ def write_answer(
             # Beside what the contract asks of a fit: the residual tests that were made of it.
             tested = to_result(check, **_common(job))
             document["validation"] = {key: tested[key] for key in ("inputs", "records", "passed", "alpha")}
+        if job.options.command in ("fit", "repair"):
+            document["equations"] = equations_of(job.problem.model)
         make_folder(job.folder)
         for name, experiment in (data_files or {}).items():
             experiment.to_csv(job.folder / name)

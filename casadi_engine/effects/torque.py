@@ -29,7 +29,7 @@ class ConstantTorque(Effect):
     kin = ("coulomb_friction", "load_step")
     sentence = "a constant {effort} on {port}"
     neutral = "a constant {effort} into {port}"
-    neutral_negative = "a constant {effort} out of {port}, as its amount, which goes in, is negative"
+    neutral_negative = "a constant {effort} out of {port}, a negative amount into it"
     amplitude = Amplitude("torque", unit="N m")
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
@@ -65,7 +65,7 @@ class LoadStep(Effect):
     sentence = "a load at {port} that comes or goes during the record"
     neutral = "a {effort} out of {port} that begins or ends during the record"
     neutral_negative = (
-        "a {effort} into {port} that begins or ends during the record: its amount, which goes out, is negative"
+        "a {effort} into {port} that begins or ends during the record, a negative amount out of it"
     )
     amplitude = Amplitude("torque", unit="N m")
     nuisance = {"time": Grid(0.02, 0.98, steps=49, unit="s", over="time")}  # noqa: RUF012 (read only)

@@ -20,6 +20,9 @@ _FEW = 8
 # where they decide the fit; share of the samples that they are at most, and up to which they are single faults: more
 # are the tails of a noise that is not normal, for which there is a loss.
 _WILD, _DECIDE, _MOST, _RARE = 8.0, 0.5, 0.2, 0.01
+# A code for a missing value: samples, so many in a row at most, that stand out of those around them by so many times
+# the usual step from one sample to the next, by its quantile, where those beside them stand out by few.
+_ROWS, _FAR_OUT, _AROUND, _USUAL = 4, 20.0, 5.0, 0.95
 # Share of its median absolute deviation that the standard deviation of a normal variable is.
 _MAD = 1.4826
 _NAMED = 5
@@ -183,7 +186,21 @@ def _wild(trace: Trace, most: float) -> Index:
     single = beyond & ~near
     single &= _outside(trace, there) > _WILD * _MAD * max(float(np.median(off)), 1e-300)
     few = single.sum() <= max(1, most * len(e))
-    return there[single] if few and off[single] @ off[single] > _DECIDE * (off @ off) else there[:0]
+    found = there[single] if few and off[single] @ off[single] > _DECIDE * (off @ off) else there[:0]
+    return np.union1d(found, _spikes(trace, there))
+
+
+def _spikes(trace: Trace, there: Index) -> Index:
+    """Numbers of samples, up to a few in a row, that stand far out of what is measured around them, and that the
+    simulation does not show: a fit that bends to them leaves nothing that is small beside what it leaves there."""
+    y = trace.measured[there]
+    usual = float(np.quantile(np.abs(np.diff(y)), _USUAL))
+    padded = np.pad(y, _ROWS, mode="edge")
+    out = np.abs(y - np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _ROWS + 1), axis=1))
+    edges = np.flatnonzero(np.diff(np.r_[0, out > _AROUND * usual, 0]))
+    lengths = np.repeat(np.diff(np.r_[0, edges, len(y)]), np.diff(np.r_[0, edges, len(y)]))
+    spikes = (out > _FAR_OUT * usual) & (lengths <= _ROWS) & (np.abs(trace.residual[there]) > 0.5 * out)
+    return there[spikes] if usual > 0 and spikes.sum() <= max(_ROWS, _RARE * len(y)) else there[:0]
 
 
 def _outside(trace: Trace, there: Index) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.errors import CasadiEngineError, NoValueError
+from casadi_engine.estimation.faulty_samples import wild_samples
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.followed import OTHERS, lost
 from casadi_engine.estimation.ipopt import BLOCKED, ONE_STEP
@@ -68,6 +69,8 @@ def looked_at_twice(
     ):  # process noise takes what a model does not follow: one start tells little
         far = fit.converged and is_elsewhere(fit)
         return _another(fit, again, kept, {"starts": _SEVERAL}, _SEVERAL, {}) if far else fit
+    if lost(fit) and wild_samples(fit) is not None:  # no other search follows what a sensor made up
+        return fit
     if lost(fit):
         found = _another(fit, again, kept, {"approach": "prediction"}, _TIMES, {"approach": BOTH}, _WORTH)
         searched = {OTHERS: _STARTS}

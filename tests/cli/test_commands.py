@@ -130,6 +130,18 @@ def test_validate_from_an_earlier_fit(here, call):
     assert result["arguments"]["from"] == "results/run_up-fit"
 
 
+def test_values_that_were_found_with_other_equations_come_with_a_word(here, call):
+    call("fit", "problem.py")
+    file = here / "results" / "run_up-fit" / "result.json"
+    assert "equations" not in call("simulate", "problem.py", "--from", str(file)).out
+    found = json.loads(file.read_text())
+    file.write_text(json.dumps(found | {"equations": "0" * 64}))
+    for command in ("simulate", "validate"):
+        said = " ".join(call(command, "problem.py", "--from", str(file)).out.split())
+        assert "The equations of one_inertia are not those that" in said
+        assert "its values may mean something else here" in said
+
+
 def test_simulate_from_an_earlier_fit(here, call):
     call("fit", "problem.py")
     value = stored(here / "results" / "run_up-fit")["parameters"]["J_eng"]["value"]

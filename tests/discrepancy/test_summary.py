@@ -67,7 +67,9 @@ def test_a_tank_is_spoken_of_as_a_tank(leaking):
         " %; not excluded in its place (probability, correlation with it): coulomb_friction at tank ("
         in words
     )
-    assert "a constant volume flow into tank: z = " in words  # nothing slides there
+    assert (
+        "a constant volume flow out of tank, a negative amount into it: z = " in words
+    )  # nothing slides there
     assert "a volume flow at tank explains most of it" in words
     assert "Smallest detectable sizes (95 % power): sensor_offset at sensor_level" not in words
     assert (
@@ -80,7 +82,7 @@ def test_a_tank_is_spoken_of_as_a_tank(leaking):
 def test_a_class_that_acts_alike_is_said_to_be_one(leaking):
     assert leaking.verdict == "class"
     assert {m.name for m in twins(leaking.effects[0])} >= {"coulomb_friction"}
-    said = "constant_torque at tank (a constant volume flow into tank) is missing, or "
+    said = "constant_torque at tank (a constant volume flow out of tank, a negative amount into it) is missing, or "
     assert said in joined(leaking)
     assert next_step(leaking).startswith(
         "constant_torque at tank, coulomb_friction at tank and sensor_offset at sensor_level are one and the same in "

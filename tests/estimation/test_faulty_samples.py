@@ -148,3 +148,25 @@ def test_an_output_without_noise_or_motion_is_told():
     )
     fit = ce.estimate(ce.one_inertia(), still, progress=False)
     assert "omega is 3 in all samples, without any noise: nothing can be learnt from that" in fit.messages[0]
+
+
+def fit_of(y, simulated):
+    trace = Trace(np.arange(len(y)) * 1.0, y, np.ones(len(y), bool), simulated)
+    return SimpleNamespace(traces={"run": {"y": trace}}, options={})
+
+
+@pytest.mark.parametrize("row", [1, 3])
+def test_a_code_to_which_a_fit_bends_is_named_too(row):
+    """Of -9999 in one cell nothing was said: the fit had bent so far that its residual was large everywhere."""
+    rng = np.random.default_rng(5)
+    y = np.sin(np.arange(200) * 0.1) + 0.02 * rng.standard_normal(200)
+    y[30 : 30 + row] = -9999.0
+    bent = -800 * np.exp(-np.abs(np.arange(200) - 30) / 5) + 300 * rng.standard_normal(200)
+    words = wild_samples(fit_of(y, bent))
+    assert words.startswith(f"{row} single sample")
+    # a simulation that shows them has found a cause
+    assert wild_samples(fit_of(y, y + 0.02 * rng.standard_normal(200))) is None
+    # the blows of a machine are many
+    many = np.sin(np.arange(200) * 0.1)
+    many[::11] = 40.0
+    assert wild_samples(fit_of(many, 0 * many)) is None

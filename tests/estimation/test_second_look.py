@@ -9,11 +9,11 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.deadline import TimeUp
-from casadi_engine.errors import EstimationError
+from casadi_engine.errors import EstimationError, NoValueError
 from casadi_engine.estimation.followed import lost
-from casadi_engine.estimation.ipopt import ONE_STEP
+from casadi_engine.estimation.ipopt import ONE_STEP, WALL
 from casadi_engine.estimation.lower_optimum import merit
-from casadi_engine.estimation.second_look import BOTH, looked_at_twice, over_whole_records
+from casadi_engine.estimation.second_look import BOTH, looked_at_twice, or_whole, over_whole_records
 
 NOT_WHITE = ("the residual of r/y is not white (neighbours correlate by 0.9): the model lacks something",)
 
@@ -51,7 +51,11 @@ class Found:
 
 
 def seen(samples, size=1.0):
-    return {"r": {"y": SimpleNamespace(mask=np.ones(samples, dtype=bool), residual=np.full(samples, size))}}
+    made = SimpleNamespace(
+        mask=np.ones(samples, dtype=bool), residual=np.full(samples, size), time=np.arange(samples) * 1.0,
+        measured=np.arange(samples) * 1.0, simulated=np.arange(samples) * 1.0,
+    )  # fmt: skip
+    return {"r": {"y": made}}
 
 
 @pytest.mark.parametrize(
@@ -295,3 +299,36 @@ def test_a_fit_from_several_starts_is_looked_at_over_whole_records_too():
     assert found.cost == 40.0
     near = Found(50.0, **AWAY | {"values": {"a": 1.1}})
     assert over_whole_records(near, None) is near
+
+
+def test_what_a_sensor_made_up_is_no_reason_for_another_search():
+    """A code for a missing value cost 25 s of searches, which no start could make better."""
+    fit = Found(100.0)
+    fit.traces["r"]["y"].measured[30] = -9999.0
+    fit.traces["r"]["y"].residual[30] = -9000.0
+    assert lost(fit)
+    assert looked_at_twice(fit, lambda _: pytest.fail("a second search")) is fit
+
+
+def test_where_a_model_has_no_value_whole_records_are_searched_and_then_other_starts():
+    """Shooting intervals begin at states that no simulation passes: below 0 under a power, where nothing is defined."""
+    gone = Found(1e4, converged=False, status=f"not converged: {WALL}")
+    asked = []
+
+    def again(changes):
+        asked.append(changes)
+        return Found(50.0, percent=95.0, messages=()) if "starts" in changes else gone
+
+    assert looked_at_twice(gone, again).cost == 50.0
+    assert asked == [{"interval": "single", "warm": None}, {"starts": 8}]
+
+
+def test_a_search_that_ends_without_a_value_is_made_over_whole_records():
+    def begun(changes):
+        if not changes:
+            raise NoValueError("none", seen="x", allowed="y", cure="z")
+        return Found(50.0)
+
+    assert or_whole(begun).cost == 50.0
+    with pytest.raises(NoValueError):
+        or_whole(lambda _: begun({}))

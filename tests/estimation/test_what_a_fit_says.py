@@ -117,5 +117,7 @@ def test_no_fresh_data_are_refused(model):
 def test_data_that_are_no_experiment_are_named(model, data):
     """They were bare errors of Python: 'str' object has no attribute 'name'."""
     fit = ce.estimate(model, run_up(), progress=False)
-    with pytest.raises(ce.errors.ExperimentError, match=r"the data are no experiment; seen: (str|int|float64)"):
+    with pytest.raises(
+        ce.errors.ExperimentError, match=r"the data are no experiment; seen: (str|int|float64)"
+    ):
         ce.validate(fit, data)
