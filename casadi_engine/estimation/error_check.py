@@ -354,9 +354,15 @@ class _Around:
         uneven = not all(RISES[0] < rise < RISES[1] for rise in rises)
         if curvature > FLAT or uneven:
             low, high = (FAR**2 * rise for rise in rises)
+            # a point so far off that the slopes there lead below the optimum tells no rise
+            seen = (
+                f"chi-squared rises by {low:.2g} and {high:.2g}"
+                if min(low, high) > 0
+                else "slopes lead astray"
+            )
             text = (
-                f"the likelihood is not quadratic along {names}: {FAR:g} standard errors away chi-squared rises by "
-                f"{max(low, 0.0):.2g} and {max(high, 0.0):.2g}, not by {FAR**2:g}"
+                f"the likelihood is not quadratic along {names}: {FAR:g} standard errors away {seen}"
+                + (f", not by {FAR**2:g}" if min(low, high) > 0 else "")
                 if uneven
                 else f"the outputs bend along {names} within the errors "
                 f"(curvature {curvature:.2g}, flat below {FLAT:g})"

@@ -122,7 +122,8 @@ class Profiles:
                 continue
             risen = float(np.sqrt(refit[1]))
             if abs(risen - root) < _CLOSE * root:
-                return there + (root - risen) * (there - inner) / max(risen - height, 1e-9)
+                end = there + (root - risen) * (there - inner) / max(risen - height, 1e-9)
+                return min(end, limit) if sign > 0 else max(end, limit)
             if risen < root:
                 if there == limit:
                     return limit

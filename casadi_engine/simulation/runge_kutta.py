@@ -50,6 +50,10 @@ _STIFF, _SOMEWHERE = 40, 8
 _ATTEMPTS, _LATER = 5, 3
 # Into how many parts a step is cut at once at most, by what a path says of its error.
 _FINER = 16.0
+# Steps that are made while one of those is that are hard to make, and where Newton's method starts anew for it.
+_LABOUR = 25
+# Share of a cell down to which steps are cut because they are hard to make, and steps to a cell that makes at most.
+_EASED = 16
 # Steps of a record, beyond those of its samples, that are taken at most.
 MOST_STEPS = 2_000_000
 
@@ -307,6 +311,7 @@ class RungeKuttaPropagator:
             for _ in range(_LATER if self._evaluated else _ATTEMPTS):
                 found = self._attempt(z, nodes, order)
                 if isinstance(found, RungeKuttaTrajectory):
+                    found = self._eased(z, nodes, order, found)
                     self._evaluated = True
                     self._last = (z.copy(), nodes.copy(), found) if order else None
                     return found
@@ -316,6 +321,28 @@ class RungeKuttaPropagator:
             # What no steps can evaluate, such as a root of less than 0, asks for none of the points to come.
             self._fineness, self.layout, self._sweeps = before
             raise
+
+    def _eased(self, z: Array, nodes: Array, order: int, found: RungeKuttaTrajectory) -> RungeKuttaTrajectory:
+        """The trajectory with steps made shorter at which Newton's method arrived only step by step: there it takes a
+        hundred times as long, at this point and all later ones."""
+        assert self._fineness is not None  # laid by `propagate`
+        assert self._sweeps is not None
+        hard, now, before = self._sweeps.hard, self._fineness, (self._fineness, self.layout, self._sweeps)
+        # a trial point of a line search is held against others by steps that are the same
+        if not order or not hard.sum() * _LABOUR > len(hard):
+            return found
+        whole = np.zeros(len(hard) // self.slope.parts, dtype=bool)
+        whole[self.layout.number[: len(hard)][hard]] = True
+        cell = np.repeat(np.arange(len(now.counts)), now.counts)
+        whole &= (1 / now.counts[cell] if now.shares is None else now.shares) > 1 / _EASED
+        if not whole.any() or now.counts.sum() + 3 * whole.sum() > _EASED * len(now.counts):
+            return found
+        self._lay(now.cut(np.where(whole, 4, 1).astype(np.intp)))
+        again = self._attempt(z, nodes, order)
+        if isinstance(again, RungeKuttaTrajectory):
+            return again
+        self._fineness, self.layout, self._sweeps = before
+        return found
 
     def _attempt(self, z: Array, nodes: Array, order: int) -> RungeKuttaTrajectory | float | Array:
         """The trajectory; or by how much shorter steps have to be for one."""

@@ -45,6 +45,8 @@ class Sweeps:
         self.known = [made[c] for c in scheme.c.tolist()]
         self.given = np.concatenate(list(made.values()))
         self._bent = False  # too often for the machine
+        # steps at which Newton's method did not arrive at once in the last run
+        self.hard = np.zeros(layout.steps, dtype=bool)
         # stage values of the last run, from which those of a point near by are not far
         self._before: Array | None = None
 
@@ -54,6 +56,7 @@ class Sweeps:
         """States (n, K+M) at the steps' starts and the intervals' ends from ``nodes`` (M, n); stage values
         (stages, n, K) of implicit steps. NaN from where Newton's method does not arrive."""
         layout = self.layout
+        self.hard[:] = False
         begun = np.empty((self.slope.n, layout.steps + layout.intervals))
         begun[:, layout.at[0]] = nodes.T
         if self.scheme.implicit:
@@ -157,6 +160,7 @@ class Sweeps:
     def _by_itself(self, z: Array, begun: Array, stages: Array, ends: NDArray[np.intp]) -> bool:
         """One step by as many iterations as it takes; False where these do not arrive."""
         own, x = ends[:1], begun[:, ends[:1]]
+        self.hard[own] = True
         given = np.concatenate([known[:, own] for known in self.known], axis=-1)
         found = stages_of(self.scheme, self.slope.newton.bound(z), x, given)
         stages[:, :, own], begun[:, ends[1:]] = found, found[-1]
