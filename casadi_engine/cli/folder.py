@@ -49,6 +49,19 @@ def refuse_others(folder: Path, names: Iterable[str]) -> None:
             )
 
 
+def keep_source(folder: Path, source: Path) -> None:
+    """OutputError if the result that the values are taken from would be written over."""
+    file = source / "result.json" if source.is_dir() else source
+    with contextlib.suppress(OSError):
+        if file.samefile(folder / "result.json"):
+            raise OutputError(
+                f"the result that the values are taken from would be lost: {file}",
+                seen=f"--from {source} and --out {folder}",
+                allowed="another folder for what is written",
+                cure="give another folder by --out DIR",
+            )
+
+
 def is_ours(folder: Path, name: str = "result.json") -> bool:
     """True if a file of results in a folder is one of this program's."""
     try:

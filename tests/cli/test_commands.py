@@ -297,6 +297,18 @@ def test_from_a_result_of_another_problem(here, call):
     assert call("validate", "problem.py", "--from", "by_record.json", "--free", "C_eng").code == 0
 
 
+@pytest.mark.parametrize("command", ["simulate", "validate"])
+@pytest.mark.parametrize("source", ["out", "out/result.json"])
+def test_the_result_that_values_are_taken_from_is_not_written_over(here, call, command, source):
+    """A fit, with its covariance, was replaced by the simulation of its values, without a word."""
+    call("fit", "problem.py", "--out", "out")
+    kept = (here / "out" / "result.json").read_bytes()
+    done = call(command, "problem.py", "--from", source, "--out", "out")
+    assert done.code == 2
+    assert "the result that the values are taken from would be lost" in done.err
+    assert (here / "out" / "result.json").read_bytes() == kept
+
+
 def test_from_a_result_in_other_units(here, call):
     call("fit", "problem.py", "--out", "out")
     stored = json.loads((here / "out" / "result.json").read_text())
