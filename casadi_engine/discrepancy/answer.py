@@ -151,11 +151,13 @@ class Answer:
         null = self.search.null  # in the colour of its noise by now
         claim = self._held_to_laws(claim, null)
         cut = self._was_cut("refitted law") or self._was_cut("unknown law")
+        # what was found and closes too little is a sign that something is missing
+        cut |= bool(claim.withdrawn) and TIME_UP in self.search.failed.values()
         if cut and not claim.found and claim.unknown is None and claim.last.screened.choice.is_coloured:
             # a law may be all of that colour
             claim = replace(claim, unknown=Unknown(untold(self.search), {}))
         if self._is_unjudged(claim):
-            claim = claim.withdrawn_for(claim.unknown, null, UNJUDGED)
+            claim = claim.withdrawn_for(claim.unknown or Unknown(untold(self.search), {}), null, UNJUDGED)
         if claim.found and claim.unknown is None:
             claim = replace(claim, unknown=self._behind_a_filter(claim) or more_than_stated(claim.last))
         found, last, proof = claim.found, claim.last, claim.proof
@@ -262,11 +264,14 @@ class Answer:
         )
 
     def _is_unjudged(self, claim: Claim) -> bool:
-        """True where effects leave more than noise, and the time was up before fresh data could say what they are
-        worth; what rounded corners leave has its own word."""
+        """True where effects leave more than white noise, and the time was up before fresh data could say what they
+        are worth: what the colour of a noise takes may be what is missing. What rounded corners leave has its own word.
+        """
         cut = TIME_UP in self.search.failed.values() and claim.proof.judgement is None
-        if not (claim.found and claim.unknown and self.portion.fresh and cut):
+        if not (claim.found and self.portion.fresh and cut):
             return False
+        if claim.unknown is None:
+            return claim.last.screened.choice.is_coloured
         return not self._may_be_rounding(claim.last, claim.unknown)
 
     def _behind_a_filter(self, claim: Claim) -> Unknown | None:

@@ -28,6 +28,8 @@ LOUDEST = 25.0
 _EXPLAINED = 0.5
 # Share of the gap's squares above the noise that effects have to close where what they leave is no white noise.
 HALF = 0.5
+# Times by which the residual of fresh data is larger than that of the search where it is no noise of one sensor.
+GROWN = 2.0
 # A change of a gap that a person would see.
 SEEN = 0.1
 _TINY = 1e-300
@@ -356,6 +358,9 @@ def _held(repair: Repair) -> Repair:
         doubt = fresh_doubt(repair) or _coloured_doubt(repair)
         if doubt is None:
             return repair
+        if repair.verdict == "nothing missing" and _grows_in_colour(repair):
+            words = f"{doubt}; what is left of the data of the search is coloured: that may be what is missing"
+            return replace(repair, verdict="unnamed", unknown=Unknown(words, {}))
         # an error of a sensor bends to what a missing law does to one record
         weak = _mostly_left(repair) or _of_sensors(repair)
         sure = None if repair.confirmed and weak else repair.confirmed
@@ -377,6 +382,16 @@ def _held(repair: Repair) -> Repair:
     if unknown is None and repair.effects and not is_louder(repair):  # what is left there has no name
         unknown = Unknown(misfit, {})
     return replace(repair, confirmed=confirmed, unknown=unknown, messages=(misfit, *repair.messages))
+
+
+def _grows_in_colour(repair: Repair) -> bool:
+    """True if a coloured residual is so much larger in fresh data that it is no noise of a sensor, whose parameters that
+    are hardly known may explain it as well as what is missing."""
+    gaps = repair.gaps
+    if gaps is None or gaps.validation_after is None or repair.noise is None or not repair.noise.is_coloured:
+        return False
+    own, fresh = gaps.estimation_after.gap.rmse, gaps.validation_after.gap.rmse
+    return any(fresh[name] > GROWN * size for name, size in own.items() if name in fresh)
 
 
 def _coloured_doubt(repair: Repair) -> str | None:
