@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from casadi_engine.discrepancy.combustion_scatter import assumed_cylinders, scatter_level
-from casadi_engine.discrepancy.linear_algebra import Array, basis, triangle, without
+from casadi_engine.discrepancy.linear_algebra import Array, basis, inverse, triangle, without
 from casadi_engine.discrepancy.null_model import NullModel, null_model
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.estimation import Fit, estimate
@@ -286,7 +286,7 @@ def likely_scatter(null: NullModel, sigma: Mapping[str, float]) -> float:
     """
     tau = scatter_carried(null)
     chosen = [k for k, name in enumerate(null.parameters) if _CYCLE.search(name)]
-    unit = np.linalg.pinv(null.turn)[:, chosen]
+    unit = inverse(null.turn)[:, chosen]
     rest = null_space(null.turn[chosen])
     width = null.turn.shape[1]
     rows = []

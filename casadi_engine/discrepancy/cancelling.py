@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.linear_algebra import Array, inverse
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition
 
@@ -44,7 +44,7 @@ def left_together(null: NullModel, effects: Sequence[Addition]) -> float:
 def _moved(null: NullModel, one: Addition) -> Array:
     """What an effect moves all outputs by, in their own variations."""
     own = [k for k, name in enumerate(null.parameters) if name.partition("@")[0] == one.amplitude]
-    along = np.linalg.pinv(null.turn)[:, own] @ null.values[own]
+    along = inverse(null.turn)[:, own] @ null.values[own]
     parts = []
     for record in null.records:
         for output, slopes in record.slopes.items():

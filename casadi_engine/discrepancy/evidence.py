@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import special
 
-from casadi_engine.discrepancy.linear_algebra import Array, svd, triangle
+from casadi_engine.discrepancy.linear_algebra import Array, inverse, svd, triangle
 from casadi_engine.discrepancy.noise_choice import is_white
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, left_over
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
@@ -322,7 +322,7 @@ def _errors_alone(root: Array, turn: Array) -> Array:
     """(nz,) standard errors where all other parameters and the first states are known."""
     if not turn.shape[1]:
         return np.full(len(turn), np.inf)
-    moved = np.linalg.norm(root[:, : turn.shape[1]] @ np.linalg.pinv(turn), axis=0)
+    moved = np.linalg.norm(root[:, : turn.shape[1]] @ inverse(turn), axis=0)
     return np.where(moved > 0, 1 / np.maximum(moved, _TINY), np.inf)
 
 

@@ -359,7 +359,9 @@ def _held(repair: Repair) -> Repair:
         if doubt is None:
             return repair
         if repair.verdict == "nothing missing" and _grows_in_colour(repair):
-            words = f"{doubt}; what is left of the data of the search is coloured: that may be what is missing"
+            words = (
+                f"{doubt}; what is left of the data of the search is coloured: that may be what is missing"
+            )
             return replace(repair, verdict="unnamed", unknown=Unknown(words, {}))
         # an error of a sensor bends to what a missing law does to one record
         weak = _mostly_left(repair) or _of_sensors(repair)
@@ -385,8 +387,8 @@ def _held(repair: Repair) -> Repair:
 
 
 def _grows_in_colour(repair: Repair) -> bool:
-    """True if a coloured residual is so much larger in fresh data that it is no noise of a sensor, whose parameters that
-    are hardly known may explain it as well as what is missing."""
+    """True if a coloured residual is so much larger in fresh data that it is no noise of a sensor: parameters that are
+    hardly known may explain it as well as what is missing."""
     gaps = repair.gaps
     if gaps is None or gaps.validation_after is None or repair.noise is None or not repair.noise.is_coloured:
         return False

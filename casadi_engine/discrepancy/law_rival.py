@@ -11,7 +11,7 @@ from scipy import linalg
 
 from casadi_engine.discrepancy.beside_starts import moved_by
 from casadi_engine.discrepancy.evidence import Columns, Digest, Levels, Prior, digest, evidence, rows_of
-from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.linear_algebra import Array, inverse
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.random_families import Family
@@ -111,7 +111,9 @@ def free_of(turn: Array, mine: Sequence[int]) -> Array:
     alone = [bool(mine) and not np.delete(column, mine).any() for column in turn.T]
     if np.all(apart | np.array(alone)):
         return np.asarray(np.eye(turn.shape[1])[:, apart])
-    return np.asarray(linalg.null_space(turn[list(mine)]))
+    rows = turn[list(mine)]
+    size = np.abs(rows).max(axis=1, keepdims=True, initial=0.0)
+    return np.asarray(linalg.null_space(rows / np.where(size > 0, size, 1.0)))
 
 
 def of_size(made: Digest, terms: Sequence[str], share: float) -> Digest:
@@ -135,8 +137,10 @@ def without_effects(null: NullModel, amplitudes: Sequence[str], own: Collection[
     for k, name in enumerate(null.parameters):
         step[k] = null.values[k] if name.partition("@")[0] in amplitudes else 0.0
     n = null.turn.shape[1]
-    taken = np.linalg.lstsq(null.turn, step, rcond=None)[0]
-    if not np.allclose(null.turn @ taken, step, rtol=1e-6, atol=1e-9 * np.abs(step).max(initial=0.0)):
+    taken = inverse(null.turn) @ step
+    # each parameter in the size of its own
+    off = np.abs(null.turn @ taken - step)
+    if not (off <= 1e-6 * np.abs(step) + 1e-9 * np.abs(null.turn).max(axis=1, initial=0.0)).all():
         return None
     inside = free_of(null.turn, mine)
     records = []

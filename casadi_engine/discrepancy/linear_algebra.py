@@ -57,3 +57,11 @@ def coefficients(columns: Array, target: Array) -> Array:
     inner = (frame[:, good].T @ target) / strength[good].reshape(-1, *[1] * (target.ndim - 1))
     found = turn[good].T @ inner
     return np.asarray(found / scale.reshape(-1, *[1] * (target.ndim - 1)))
+
+
+def inverse(turn: Array) -> Array:
+    """(n, nz) the pseudo-inverse of directions (nz, n) in parameters of any size: a modulus of 1e10 and a leak of 1e-7
+    stand in one matrix, of which the plain one takes the smaller for zero."""
+    size = np.abs(turn).max(axis=1, initial=0.0)
+    size = np.where(size > 0, size, 1.0)
+    return np.asarray(np.linalg.pinv(turn / size[:, None]) / size)

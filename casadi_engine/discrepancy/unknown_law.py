@@ -166,6 +166,10 @@ def unknown_law(
     # What the effects alone drive to a bound leaves it where they go.
     others = held & refits.pool[frozenset()].arrived.held - own
     bare, here = without_effects(null, [one.amplitude for one in effects], own), null
+    if bare is None and along is not None:
+        return unknown_law(
+            refits, tried, further, everywhere=everywhere
+        )  # whose model without them has that data alone
     if bare is None:  # an amplitude is not free: along the motion that the model has without them
         bare = refits.null(refits.pool[frozenset()])
         here = null if bare is None else bare

@@ -285,23 +285,21 @@ def test_two_effects_that_are_no_findings_beside_their_colour_stand_in_no_ones_p
     monkeypatch.setattr(module, "tried_in_two", lambda *_: list(pairs.values()))
     gone = [pairs[name] for name in weak]
     monkeypatch.setattr(module, "weak_beside_colour", lambda refits, other: other in gone)
-    monkeypatch.setattr(module, "is_far", lambda *_: False)
+    monkeypatch.setattr(Choice, "_exchanged", lambda self, best, here: best)
     found._in_two()
     assert found.best == (one if leads == "a" else pairs[leads]).key
     assert [name for name in pairs if pairs[name].failed] == list(weak)
 
 
-@pytest.mark.parametrize(
-    ("far", "fits", "leads"), [(False, True, "b"), (True, True, "c"), (True, False, "b")]
-)
-def test_two_effects_far_from_where_refits_began_are_exchanged_from_there(monkeypatch, far, fits, leads):
+@pytest.mark.parametrize(("fits", "leads"), [(True, "c"), (False, "b")])
+def test_each_of_two_effects_in_the_place_of_one_is_exchanged(monkeypatch, fits, leads):
+    """A step at the evaporator and a slow sensor stood for a step in the air and that sensor, "confirmed"."""
     pair, better = tried("b", "d", log=-50.0), tried("c", "d", log=-40.0)
     found = choice_of(monkeypatch, tried(log=-500.0), one := tried("a", log=-100.0), pair, best=one.key)
     found.refits.weigh = lambda: None
     monkeypatch.setattr(module, "families_of", lambda screened: {})
     monkeypatch.setattr(module, "tried_in_two", lambda *_: [pair])
     monkeypatch.setattr(module, "weak_beside_colour", lambda *_: False)
-    monkeypatch.setattr(module, "is_far", lambda *_: far)
     monkeypatch.setattr(Choice, "_exchanged", lambda *_: better)
     plain = Choice.station_of
     monkeypatch.setattr(
