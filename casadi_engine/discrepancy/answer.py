@@ -175,7 +175,8 @@ class Answer:
         self.messages += told_by_priors(found, key_of(last.effects), self.search.pool)
         self._say(null, last, proof)
         if claim.unknown is not None:  # which is said in its own place
-            self.messages[:] = [words for words in self.messages if words != claim.unknown.sentence]
+            known = {claim.unknown.sentence, _cut("leftover") if claim.unknown.port else ""}
+            self.messages[:] = [words for words in self.messages if words not in known]
         blank = Repair(
             "answered",
             verdict,

@@ -337,12 +337,15 @@ def _equation(repair: Repair) -> list[Lines]:
         for lines in shown
     ]
 
+    # equations run in seconds, whatever the unit of time in which values are told
+    head = "Equation" if clock_of(repair.model).unit == "s" else "Equation, all times in s"
+
     def form(most: int) -> Lines:
         rest = len(shown) - most
         if most == 0:
             return ["Equation: print(repair.equation.text)"]
         more = [f"  and {count(rest)} more: print(repair.equation.text)"] if rest > 0 else []
-        return ["Equation", *(line for lines in shown[:most] for line in lines), *more]
+        return [head, *(line for lines in shown[:most] for line in lines), *more]
 
     return [form(k) for k in range(min(len(shown), _TERMS), -1, -1)] if shown else []
 

@@ -62,7 +62,7 @@ class SensorDrift(Effect):
         a later part of one log; start the times of records that were begun anew at the same number
 
     >>> SensorDrift().describe("sensor_pressure")
-    'a drift of sensor_pressure'
+    'a drift of sensor_pressure by its amount within a record'
     """
 
     span: float | None = None
@@ -71,7 +71,7 @@ class SensorDrift(Effect):
     name = "sensor_drift"
     attaches = ("sensor",)
     kin = ("sensor_offset", "sensor_gain", "constant_torque")
-    sentence = "a drift of {port}"
+    sentence = "a drift of {port} by its amount within a record"
     amplitude = Amplitude("drift", unit=None)
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
