@@ -102,10 +102,14 @@ def judged(
     # states go along with parameters whose intervals are not symmetric
     even = bool(alike) and alike == set(ends)
     of_first = _states_judged(search, white, errors, doubts, of_states, initial, but_shape=even)
-    # graver ones of first states alone hide none of the parameters
-    beside = (
-        [one for one in of_first if not one.profiles] if felt and all(one.profiles for one in felt) else []
+    # what is about first states alone hides nothing that is said of parameters; an interval tells it by itself
+    untold = any(
+        one.why in (_UNKNOWN, _UNEVEN) and one.interval is None
+        for own in initial.values()
+        for one in own.values()
     )
+    apart = untold and bool(felt) and all(one.profiles for one in felt)
+    beside = [one for one in of_first if not any(one is other for other in felt)] if apart else []
     own = [
         doubt for doubt in doubts if any(doubt is one for one in (*felt, *of_first)) and doubt not in beside
     ]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.deadline import Deadline, TimeUp, best_wanted, is_set, late, was_stopped
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.aliased import aliased
 from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.behind_a_bound import told_from_their_bounds
 from casadi_engine.estimation.corner_widths import follow_motion, from_wide_corners
@@ -247,7 +248,7 @@ def _followed_up(
     quick = partial(again, check=None)
     fit = in_time(lambda: looked_at_twice(fit, quick, with_errors), lambda: fit)
     fit = in_time(lambda: told_from_their_bounds(fit, arguments["parameters"], again), lambda: fit)
-    return replace(fit, messages=(*faults(fit), *fit.messages))
+    return replace(fit, messages=(*faults(fit), *aliased(fit), *fit.messages))
 
 
 def _gone_on(fit: Fit, run: Callable[[dict[str, Any]], Fit]) -> Fit:

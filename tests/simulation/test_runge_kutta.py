@@ -221,3 +221,53 @@ def test_an_integration_whose_time_is_over_leaves_the_steps_as_they_were(made, s
         path = propagator.propagate(NONE, nodes)
     assert np.isfinite(path.x).all()
     assert deadline.done >= 199  # a step of every cell at least
+
+
+def test_steps_that_are_hard_to_make_are_made_shorter(made, monkeypatch):
+    """A substrate that runs out: Newton's method started anew at a step there, at every point of a search, for a
+    hundred times the time of the others."""
+    b = Blueprint("batch")
+    cells, food, feed = b.state("X"), b.state("S", scale=60.0), b.input("F")
+    rate = 0.4 * food / (20.0 + food)
+    b.ode("X", rate * cells + feed)
+    b.ode("S", -rate * cells / 0.12)
+    b.output("X", cells)
+    model, step = b.model(), 2.3
+    grid = made.grid(np.zeros(14), step=step, start=0.0)
+    plain = Fineness(RADAU, np.ones(13, dtype=np.intp))
+    scale = made.scale(model)
+    propagator = RungeKuttaPropagator(
+        model, grid, cut(grid, None), ca.SX(0, 1), ca.DM(0, 1), scale=scale, fineness=plain
+    )
+    plain_run = sweeps.Sweeps.run
+
+    def run_of_a_hard_step(self, z, nodes):
+        found = plain_run(self, z, nodes)
+        self.hard[:] = (self.layout.time[: self.layout.steps] > 15) & (
+            self.layout.length[: self.layout.steps] > 1
+        )
+        return found
+
+    monkeypatch.setattr(sweeps.Sweeps, "run", run_of_a_hard_step)
+    nodes = np.array([[0.2, 60.0]]) / scale
+    assert propagator.propagate(NONE, nodes, 0).begun.shape[1] == 13 + 1  # a trial point changes no steps
+    first = propagator.propagate(NONE, nodes, 1)
+    assert propagator.fineness.counts.tolist() == [1] * 7 + [4] * 6
+    again = propagator.propagate(NONE, nodes + 1e-9, 1)
+    assert again.begun.shape == first.begun.shape
+    shown = made.by_interval(cut(grid, None), 1, first.y)[0, :14, 0, 0]
+
+    def rates(_t, x):
+        own = 0.4 * x[1] / (20.0 + x[1])
+        return [own * x[0], -own * x[0] / 0.12]
+
+    exact = solve_ivp(
+        rates,
+        (0, 13 * step),
+        [0.2, 60.0],
+        t_eval=step * np.arange(14),
+        method="Radau",
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(shown, exact.y[0], rtol=5e-3)
