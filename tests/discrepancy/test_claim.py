@@ -336,3 +336,30 @@ def test_a_model_that_leaves_more_than_the_stated_noise_lacks_something(size, st
     found = module.above_stated(fit, rounded)
     assert (found is not None) is said
     assert not said or found.sentence.startswith("more is left than the noise that was stated: y, 2.")
+
+
+@pytest.mark.parametrize(
+    ("judged", "fresh", "unknown", "coloured", "unjudged"),
+    [
+        (False, True, None, True, True),  # its colour may be what is missing
+        (False, True, None, False, False),
+        (False, True, Unknown("more is left", {}), False, True),
+        (True, True, None, True, False),
+        (False, False, None, True, False),
+    ],
+)
+def test_what_fresh_data_were_not_asked_of_is_no_name_beside_a_colour(
+    judged, fresh, unknown, coloured, unjudged
+):
+    """A rubber stop was "a load step and an offset of -62 deg", named, as the rest was coloured and the time was up."""
+    effects = (stub(),)
+    last = stub(screened=stub(choice=stub(is_coloured=coloured)), effects=effects)
+    claim = stub(found=effects, unknown=unknown, last=last, proof=stub(judgement=stub() if judged else None))
+    made = stub(
+        search=stub(failed={"more": answer.TIME_UP}),
+        portion=stub(fresh=("b",) if fresh else ()),
+        _may_be_rounding=lambda *_: False,
+    )
+    assert answer.Answer._is_unjudged(made, claim) is unjudged
+    made.search.failed = {}
+    assert answer.Answer._is_unjudged(made, claim) is False

@@ -1,5 +1,6 @@
 """Records that are too short to tell the parameters are no sign of something missing, whatever fresh ones look like."""
 
+from dataclasses import replace
 from types import SimpleNamespace as stub
 
 import numpy as np
@@ -7,10 +8,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.discrepancy import fresh_misfit as misfit_module
+from casadi_engine.discrepancy import joint_fit as module
 from casadi_engine.discrepancy.confirmation import Gap
 from casadi_engine.discrepancy.fresh_misfit import FRESH, _mostly_left, fresh_doubt
 from casadi_engine.discrepancy.joint_fit import asks_for_one
 from casadi_engine.discrepancy.repaired import Gaps, Side
+from casadi_engine.errors import EstimationError
 
 STEP, NOISE = 4.0, 0.02
 C1, C2, G12, G2 = 600.0, 1600.0, 14.0, 5.0
@@ -122,3 +126,68 @@ def test_what_parameters_for_all_records_leave_is_what_is_left(jointly, mostly):
     said = fresh_doubt(repair_of(jointly=jointly))
     assert "on the fresh data chi2/N is 50, and 1 with" in said
     assert ("with parameters for all records" in said) is jointly
+
+
+def test_first_states_that_were_given_are_those_of_all_records(body):
+    """The fit of all records had left out initial=..., ran away, and louder noise in fresh data was "and more that no
+    effect of the library names"."""
+    seen = []
+
+    def fit(model, records, *, initial, **_):
+        seen.append(initial)
+        raise EstimationError("none", seen="x", allowed="y", cure="z")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "estimate", fit)
+        given = {"T1": stub(fixed=True, value=3.0), "T2": stub(fixed=False, value=7.0)}
+        repair = stub(
+            **vars(repair_of(within=40.0)) | {"fit": stub(model=body, initial={"a": given, "c": {}})}
+        )
+        refitter = stub(parameters=None, interval="auto")
+        repair.effects = ()
+        assert module.with_joint_fit(repair, refitter) is repair
+    assert seen == [{"a": {"T1": 3.0}}]
+
+
+@pytest.mark.parametrize(("own", "fresh", "told"), [(1.0, 1.0, True), (1.1, 45.0, True), (30.0, 45.0, False)])
+def test_parameters_of_all_records_that_describe_them_worse_are_no_answer(own, fresh, told):
+    """The parameters of the search leave 1 and 50: what leaves more than that in all has not arrived."""
+
+    def traces(**sizes):
+        return {name: {"y": stub(residual=np.full(500, np.sqrt(size)))} for name, size in sizes.items()}
+
+    before = repair_of(within=40.0)
+    after = replace(before.gaps.validation_after, traces=traces(b=50.0))
+    before.gaps = replace(before.gaps, validation_after=after)
+    before.fit = stub(model=None, initial={}, traces=traces(a=1.0), parameters=stub(copy=stub))
+    both = stub(traces=traces(a=own, b=fresh), free=("k",))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "estimate", lambda *_, **__: both)
+        patch.setattr(module, "as_fitted", lambda fit: None)
+        patch.setattr(
+            module,
+            "replace",
+            lambda one, **more: stub(**vars(one) | more) if one is before else replace(one, **more),
+        )
+        found = module.with_joint_fit(before, stub(parameters=None, interval="auto"))
+    assert (found is not before) is told
+    if told:
+        assert found.gaps.validation_after.within_errors == pytest.approx(fresh)
+
+
+@pytest.mark.parametrize(
+    ("coloured", "found", "verdict"),
+    [(True, 2.5, "unnamed"), (True, 1.5, "nothing missing"), (False, 2.5, "nothing missing")],
+)
+def test_what_grows_in_fresh_data_is_no_colour_of_a_noise(coloured, found, verdict):
+    """A cogging that was taken for coloured noise, three times as large in fresh data, was "nothing missing"."""
+    repair = repair_of(found=50.0, within=1.0)
+    repair.verdict, repair.effects = "nothing missing", ()
+    repair.noise = stub(scatter={}, colour={}, is_coloured=coloured, sigma={"y": (1.0, True)})
+    rmse = replace(repair.gaps.validation_after.gap, rmse={"y": found})
+    repair.gaps = replace(repair.gaps, validation_after=replace(repair.gaps.validation_after, gap=rmse))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(misfit_module, "replace", lambda one, **more: stub(**vars(one) | more))
+        patch.setattr(misfit_module, "fresh_misfit", lambda _: None)
+        held = misfit_module._held(repair)
+    assert held.verdict == verdict
