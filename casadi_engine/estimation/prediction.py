@@ -228,7 +228,9 @@ class _Record:
         self.free = np.flatnonzero(free)
         self.wider = np.array([_wider(fit, data.name, model.states[k].name) for k in self.free])
         found = [initial[model.states[k].name].stderr for k in self.free]
-        self.found = np.array([0.0 if data.name in fit.initial or own is None else own for own in found])
+        of_fit = fit.initial.get(data.name)
+        is_own = of_fit is not None and all(of_fit.get(s.name) is initial[s.name] for s in model.states)
+        self.found = np.array([0.0 if is_own or own is None else own for own in found])
         first = [getattr(initial[s.name], "value", initial[s.name]) for s in model.states]
         self.first = np.array(first, dtype=float) / self.record.scale
         self.rows = self._measured(data, grid.time)

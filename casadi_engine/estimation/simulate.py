@@ -167,9 +167,19 @@ def _of_fit(
             here = min(
                 (float(data[o.name].time[0]) for o in fit.model.outputs if o.name in data), default=None
             )
-        if data.name in begins and begins[data.name] == here:
+        if data.name in begins and begins[data.name] == here and _shows_the_same(fit, data):
             initial = fit.initial[data.name]
     return fit.model, parameters, initial
+
+
+def _shows_the_same(fit: Fit, data: Experiment) -> bool:
+    """False of another measurement under the name of a record of the fit: its outputs begin otherwise."""
+    own, data = next(one for one in fit.data if one.name == data.name), arriving(fit.model, data)
+    for name in set(_measured(fit.model, own)) & set(_measured(fit.model, data)):
+        first, here = (one[name].values[one[name].mask][0] for one in (own, data))
+        if not math.isclose(first, here, rel_tol=1e-9, abs_tol=1e-300):
+            return False
+    return True
 
 
 def _measured(model: Model, data: Experiment) -> tuple[str, ...]:

@@ -360,3 +360,22 @@ def test_a_number_for_an_initial_state_holds_where_the_inputs_begin():
     np.testing.assert_allclose(run["c"].values[at], c, atol=1e-5)
     free = ce.estimate(b.model(), data, noise=ce.Noise(c=0.02), progress=False)
     assert free.initial["run"]["A"].time == 3600.0
+
+
+def test_another_measurement_under_the_name_of_a_record_has_first_states_of_its_own(run_up):
+    """The fit's own were taken by the name: 3 K were simulated from -0.02, with a band of 0.007."""
+    fit = ce.estimate(ce.one_inertia(), run_up(), progress=False)
+    fresh = run_up(sigma=0.0)
+    time, torque = fresh["T"].time, fresh["T"].values
+    faster = ce.simulate(ce.one_inertia(), fresh, parameters=TRUE, initial={"omega_eng": 30.0})[
+        "omega"
+    ].values
+    faster = faster + 0.01 * np.random.default_rng(4).standard_normal(len(time))
+    other = ce.Experiment.from_arrays(
+        fit.data[0].name, time=time, units={"T": "N m", "omega": "rad/s"}, hold="zero", T=torque, omega=faster
+    )
+    assert ce.simulate(fit, other)["omega"].values[0] == pytest.approx(30.0, abs=0.2)
+    shown = ce.simulate(fit, other, band=True)
+    assert shown.simulated["omega"].values[0] == pytest.approx(30.0, abs=0.2)
+    own = fit.initial[fit.data[0].name]["omega_eng"].value
+    assert ce.simulate(fit, fit.data[0])["omega"].values[0] == pytest.approx(own)
