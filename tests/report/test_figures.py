@@ -232,7 +232,7 @@ def test_an_envelope_keeps_the_extremes(signal, bins):
 
 def test_files_left_alone_when_writing_fails(tmp_path, fit, monkeypatch):
     path = tmp_path / "fit.png"
-    path.write_bytes(b"old")
+    path.write_bytes(b"\x89PNG old")
 
     def fail(*_):
         raise OSError(28, "No space left on device")
@@ -240,7 +240,7 @@ def test_files_left_alone_when_writing_fails(tmp_path, fit, monkeypatch):
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(OutputError, match="No space left"):
         plot(fit, what="parameters", path=path)
-    assert path.read_bytes() == b"old"
+    assert path.read_bytes() == b"\x89PNG old"
     assert os.listdir(tmp_path) == ["fit.png"]
 
 
