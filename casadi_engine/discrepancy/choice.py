@@ -381,6 +381,7 @@ class Choice:
         screened = station.screened
         known = int(screened.scores.testable.sum())
         while True:
+            tried = [self.pool.get(one.key, one) for one in tried]  # as refitted since, and failed
             best = self._most_probable(tried)
             gain = -math.inf if best is None else best.log - here.log
             if best is not None and not here.effects:

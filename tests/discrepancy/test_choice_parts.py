@@ -151,6 +151,37 @@ def test_a_structure_that_an_exchange_found_is_kept_when_its_corners_are_sharpen
     assert found._chosen_of(here, stub(screened=screened), [added]) is better
 
 
+def test_a_structure_that_was_refitted_meanwhile_is_refused_once(monkeypatch):
+    """An exchange had made it anew: its whole fit failed, and the one of before was asked for until the time was up."""
+    here, stale = tried("drag", log=-100.0), tried("drag", "step", log=-50.0)
+    anew = tried("drag", "step", log=-50.0)
+    found = choice_of(monkeypatch, tried(log=-500.0), here, anew, best=here.key, refused=[anew.key])
+    found.refits.levels, found.refits.blunted = stub(memory={}), (lambda: False)
+    exchanges = []
+
+    def exchanged(self, best, here):
+        exchanges.append(best)
+        assert len(exchanges) < 5, "the same structure again"
+        return anew
+
+    monkeypatch.setattr(Choice, "_exchanged", exchanged)
+    for name in ("_special_cases_of", "_again_without", "_told"):
+        monkeypatch.setattr(Choice, name, lambda *_: None)
+    monkeypatch.setattr(Choice, "_sharpened", lambda *_: False)
+    monkeypatch.setattr(
+        Choice, "_most_probable", lambda self, made: next((t for t in made if not t.failed), None)
+    )
+    monkeypatch.setattr(module, "weak_beside_colour", lambda *_: False)
+    monkeypatch.setattr(module, "is_rounding", lambda *_: False)
+    monkeypatch.setattr(module, "simpler", lambda now, *_: now)
+    for name in ("in_its_parts", "late_otherwise"):
+        monkeypatch.setattr(module, name, lambda _, best, *__: best)
+    scores = stub(testable=np.array([True]))
+    screened = stub(scores=scores, significant=(0,), noise=stub(colour={}), choice=stub(rounded={}))
+    assert found._chosen_of(here, stub(screened=screened), [stale]) is None
+    assert len(exchanges) == 1
+
+
 FEW = ["coulomb_friction", "constant_torque"]
 DRY = frozenset({("coulomb_friction", "pivot")})
 
