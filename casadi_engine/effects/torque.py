@@ -120,5 +120,6 @@ class Impulse(Effect):
 
 def _one_sample(record: Any) -> float:
     """The width of an event [s]: a sample of the fastest channel of the record, which shows how sharp it is."""
-    gap = min(float(np.median(np.diff(record[name].time))) for name in record.names)
+    gaps = [np.median(np.diff(record[name].time)) for name in record.names if len(record[name].time) > 1]
+    gap = float(min(gaps, default=_SHORT))
     return float(f"{_SAMPLES * gap:.3g}")

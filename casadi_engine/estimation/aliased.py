@@ -23,7 +23,8 @@ def aliased(fit: Fit) -> tuple[str, ...]:
     if not fit.converged:
         return ()
     record = fit.data[0]
-    steps = [np.median(np.diff(record[o.name].time)) for o in fit.model.outputs if o.name in record]
+    times = [record[o.name].time for o in fit.model.outputs if o.name in record]
+    steps = [np.median(np.diff(time)) for time in times if len(time) > 1]
     values = fit.values_for(record.name)
     here = _modes(fit, values)
     if not steps or here is None:
