@@ -396,6 +396,7 @@ def check_effect(effect: Any) -> None:
             allowed='ce.effects.Amplitude("name", unit="N m", min=0)',
             cure="say which number is zero where the effect is absent",
         )
+    _check_width(effect)
     for name, grid in effect.nuisance.items():
         _check_word(f"a nuisance parameter of the effect {effect.name}", name)
         if not isinstance(grid, Grid) or name == effect.amplitude.name:
@@ -405,6 +406,19 @@ def check_effect(effect: Any) -> None:
                 allowed="a ce.effects.Grid, under another name than the amplitude's",
                 cure=f'set nuisance = {{"{name}": ce.effects.Grid(start, stop, steps=9, unit="...")}}',
             )
+
+
+def _check_width(effect: Any) -> None:
+    """A width below 0 turns the sign of a law: dry friction would drive."""
+    width = getattr(effect, "width", None)
+    known = isinstance(width, int | float) and not isinstance(width, bool)
+    if width is not None and known and not 0 <= width < math.inf:
+        raise EffectError(
+            f"the width over which corners of the effect {effect.name} are rounded is not acceptable",
+            seen=repr(width),
+            allowed="a number from 0 on, or None for what the records can follow",
+            cure=f"write {type(effect).__name__}(), or give a width in the unit of the signal",
+        )
 
 
 def _check_word(what: str, name: object) -> None:

@@ -102,26 +102,38 @@ def judged(
     # states go along with parameters whose intervals are not symmetric
     even = bool(alike) and alike == set(ends)
     of_first = _states_judged(search, white, errors, doubts, of_states, initial, but_shape=even)
-    # what is about first states alone hides nothing that is said of parameters; an interval tells it by itself
-    untold = any(
-        one.why in (_UNKNOWN, _UNEVEN) and one.interval is None
-        for own in initial.values()
-        for one in own.values()
-    )
-    apart = untold and bool(felt) and all(one.profiles for one in felt)
-    beside = [one for one in of_first if not any(one is other for other in felt)] if apart else []
-    own = [
-        doubt for doubt in doubts if any(doubt is one for one in (*felt, *of_first)) and doubt not in beside
-    ]
-    said = words_of(own, [name for name in free if about[name] is not None and name not in ends])
     alone = sum(one.starts for one in optima) < _SEVERAL and not all(one.linear for one in search.records)
-    if said and ends and alone and any(one.profiles and one.size > FLAT for one in own):
-        said[-1] += "; the intervals are of the one optimum that was found: starts=10 looks for others"
-    of_states_alone = ("the errors are not known", "the errors of first states are not known")
-    said += [words.replace(*of_states_alone, 1) for words in words_of(beside, [])]
+    missing = [name for name in free if about[name] is not None and name not in ends]
+    said = _said(doubts, felt, of_first, initial, missing, alone=alone and bool(ends))
     if not any(one.stderr for one in estimates.values()):  # none is left that could be of the curvature
         told = few
     return Judged(_bent_ties(search, white, errors, estimates), initial, (*said, *told), below)
+
+
+def _said(
+    doubts: Sequence[Doubt],
+    felt: Sequence[Doubt],
+    of_first: Sequence[Doubt],
+    initial: Mapping[str, Mapping[str, Estimate]],
+    missing: list[str],
+    *,
+    alone: bool,
+) -> list[str]:
+    """What is said of the doubts that took errors of parameters and of first states away.
+
+    missing : parameters that have no interval by profile; alone : intervals are of an optimum of one search
+    """
+    # what is about first states alone hides nothing that is said of parameters; an interval tells it by itself
+    states = [one for own in initial.values() for one in own.values()]
+    untold = any(one.why in (_UNKNOWN, _UNEVEN) and one.interval is None for one in states)
+    apart = untold and bool(felt) and all(one.profiles for one in felt)
+    beside = [one for one in of_first if one not in felt] if apart else []
+    own = [one for one in doubts if one in (*felt, *of_first) and one not in beside]
+    said = words_of(own, missing)
+    if said and alone and any(one.profiles and one.size > FLAT for one in own):
+        said[-1] += "; the intervals are of the one optimum that was found: starts=10 looks for others"
+    of_states = ("the errors are not known", "the errors of first states are not known")
+    return said + [words.replace(*of_states, 1) for words in words_of(beside, [])]
 
 
 def _few(search: Search, errors: Uncertainty) -> tuple[str, ...]:

@@ -325,3 +325,14 @@ def test_no_sentence_of_the_library_speaks_of_torques_in_a_room():
         if port is not None:
             words = effect.worded(port)
             assert not any(w in words for w in ("torque", "friction", "speed", "load ", "{")), words
+
+
+@pytest.mark.parametrize("width", [-1.0, math.nan, math.inf])
+def test_a_width_that_would_turn_a_law_round_is_refused(width):
+    """Dry friction with a width below 0 drove, without a word."""
+    for effect in (ce.effects.CoulombFriction(width=width), ce.effects.OrificeLeak(width=width)):
+        with pytest.raises(
+            EffectError, match=r"corners of the effect \w+ are rounded is not acceptable; seen: (-1|nan|inf)"
+        ):
+            check_effect(effect)
+    check_effect(ce.effects.LoadStep(width=0.0))  # at once
