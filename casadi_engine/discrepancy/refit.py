@@ -267,7 +267,10 @@ class Refitter:
             if found.stderr is None and self._told_beside(fit, effects, one):
                 continue
             best, least, share = fit, merit(fit) + _CONTENT, 2.0
+            none = _GONE * min(abs(found.value), abs(one.start))
             for _ in range(_HALVINGS):
+                if abs(best.values[one.amplitude]) <= none:
+                    break
                 held = self.parameters_of(fit.model, effects)
                 held.fix(one.amplitude, best.values[one.amplitude] / share)
                 step = self._try(fit.model, held, Start.of(best), most=_FEWER)

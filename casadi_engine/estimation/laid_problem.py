@@ -17,6 +17,7 @@ from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.options import initial_bounds, interval_length
 from casadi_engine.estimation.predictor import Predictor
 from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.scales import sized
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.spectral_start import asked_in_full, complete
 from casadi_engine.estimation.taken import are_few, taken
@@ -56,7 +57,8 @@ class LaidProblem:
         self.predictor = Predictor(noise, model, list(self._grids.values()), parameters)
         wanted = (*model.parameter_names, *self.predictor.names)
         whole = compile(parameters, wanted, names, ties=ties)  # type: ignore[arg-type]
-        self.pmap, self._whole_tails = self.predictor.split(whole)
+        pmap, self._whole_tails = self.predictor.split(whole)
+        self.pmap = sized(pmap, self.warm)
         self.parameters = parameters
         self._initial = [initial_bounds(initial, model, name, names) for name in names]
         self.cut, self._method = interval, method

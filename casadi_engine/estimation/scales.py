@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from casadi_engine.errors import ModelError
 if TYPE_CHECKING:
     from casadi_engine.estimation.coordinates import Coordinates
     from casadi_engine.estimation.shooting import ShootingProblem
+    from casadi_engine.parameters.compiled import ParameterMap
 
 Array = NDArray[np.float64]
 
@@ -37,6 +39,19 @@ def size_factors(nodes: list[Array]) -> Array | None:
     if not sizes or not np.isfinite(largest := np.max(sizes, axis=0)).all():
         return None
     return np.where(largest > _LARGE, largest, 1.0) if (largest > _LARGE).any() else None
+
+
+def sized(pmap: ParameterMap, warm: Any) -> ParameterMap:
+    """The parameters with the scales of a warm start where that is larger than the set's own: beside a start of 1e-22,
+    a value of 0.01 would be 1e20 of its scale, and no number that a solver can move.
+
+    warm : with ``values``; None without one
+    """
+    if warm is None or not len(pmap.free):
+        return pmap
+    known = [warm.values.get(name, 0.0) for name in pmap.free]
+    sizes = np.abs(np.array(known, dtype=float))
+    return replace(pmap, scale=np.where(np.isfinite(sizes), np.maximum(pmap.scale, sizes), pmap.scale))
 
 
 def felt_scale(problem: ShootingProblem, coordinates: Coordinates, z: Array, x: Array) -> Array | None:

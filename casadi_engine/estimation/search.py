@@ -34,6 +34,8 @@ _NOWHERE = "the frequency domain led nowhere"
 _WALLS, _BESIDE = 6, 1e-2
 # Share of a state's scale or size within which it rests at a bound.
 AT_WALL = 1e-3
+# Gaps between intervals, in scales of the states, at which a point is one run of each record.
+_GAPS = 1e-8
 # Points from which values that meet all constraints are looked for, where a search has ended without.
 _TRIED = 5
 
@@ -221,6 +223,8 @@ class Search(FirstPoints):
         if solution.status == "interrupted":
             return solution
         simulated = self._simulated(x, resting=self._followed(solution.x) < FOLLOWED)
+        if simulated is None and exact and self.problem.at(x).gap < _GAPS:  # it is a simulation itself
+            simulated = x
         if simulated is None or not self._lower(simulated, solution.x):
             return solution
         other = self._descended(simulated)
