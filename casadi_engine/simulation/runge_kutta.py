@@ -361,7 +361,10 @@ class RungeKuttaPropagator:
         at_stage, by_x, by_z = sweeps.derivatives(z, begun, stages)
         if not implicit and (fastest := growth(by_x[0])) > _UNSTABLE:
             return min(fastest / (0.4 * _UNSTABLE), 1e3)
-        return self._sensitivities(z, begun, at_stage, by_x, by_z)
+        found = self._sensitivities(z, begun, at_stage, by_x, by_z)
+        if implicit:
+            sweeps.remember(z, begun, at_stage, found.stages)
+        return found
 
     def _lost(self, begun: Array) -> Array:
         """By how much shorter each step has to be where Newton's method did not arrive in some; in order of time."""

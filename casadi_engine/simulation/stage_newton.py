@@ -40,17 +40,18 @@ def stages_of(
     stage values of a point near by, where there are any, NaN where they are not known
     """
     still = np.repeat(x[None], scheme.stages, axis=0)
-    guess = still if near is None else np.where(np.isfinite(near).all(axis=(0, 1)), near, still)
+    known = np.zeros(x.shape[1], dtype=bool) if near is None else np.isfinite(near).all(axis=(0, 1))
+    guess = still if near is None else np.where(known, near, still)
     found, sure, first = solve_stages(scheme, function, x, guess, given)
-    if near is not None:  # which is no neighbour of a point from which it lies further than a step goes
-        sure &= ~_beyond(first, guess - x, guess, x)
-    doubted = np.flatnonzero(~sure & np.isfinite(x).all(axis=0))
-    if near is not None and len(doubted):  # from where all steps begin that have no neighbour
-        rest = given[:, _of(doubted, scheme.stages, x.shape[1])]
-        found[..., doubted], sure, _ = solve_stages(
-            scheme, function, x[:, doubted], still[..., doubted], rest
+    # which is no neighbour of a point from which it lies further than a step goes
+    sure &= ~(known & beyond(first, guess - x, guess, x))
+    again = np.flatnonzero(~sure & known & np.isfinite(x).all(axis=0))
+    if len(again):  # from where all steps begin that have no neighbour
+        rest = given[:, _of(again, scheme.stages, x.shape[1])]
+        found[..., again], sure[again], _ = solve_stages(
+            scheme, function, x[:, again], still[..., again], rest
         )
-        doubted = doubted[~sure]
+    doubted = np.flatnonzero(~sure & np.isfinite(x).all(axis=0))
     doubted = doubted[np.isfinite(found[..., doubted]).all(axis=(0, 1))]  # others have no root at all
     if len(doubted):
         rest = given[:, _of(doubted, scheme.stages, x.shape[1])]
@@ -144,10 +145,10 @@ def solve_stages(
     # less the slopes bend; nothing there tells of a pole that was leapt over, on the other side of zero
     off = found - guess - first
     leapt = (found * guess < 0).any(axis=0) & (np.abs(off) > SEEN * np.abs(first)).any(axis=0)
-    return found, sure & ~_beyond(off, first, found, x) & ~leapt.any(axis=0), first
+    return found, sure & ~beyond(off, first, found, x) & ~leapt.any(axis=0), first
 
 
-def _beyond(way: Array, length: Array, stages: Array, x: Array) -> NDArray[np.bool_]:
+def beyond(way: Array, length: Array, stages: Array, x: Array) -> NDArray[np.bool_]:
     """Whether a way (stages, n, K) is, in one of the states, longer than a share of another."""
     size = np.abs(stages).max(axis=0) + np.abs(x)
     room = NEAR * np.abs(length).max(axis=0) + SEEN * size

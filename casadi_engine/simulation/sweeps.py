@@ -6,7 +6,9 @@ few intervals, or of one long simulation, by CasADi's virtual machine, which nee
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from casadi_engine.deadline import ask
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.newton_machine import newton_steps
-from casadi_engine.simulation.stage_newton import stages_of
+from casadi_engine.simulation.stage_newton import beyond, stages_of
 from casadi_engine.simulation.stage_slope import StageSlope
 from casadi_engine.simulation.step_layout import StepLayout
 from casadi_engine.simulation.tableau import Tableau
@@ -31,6 +33,8 @@ MACHINE = 512
 _SWEEP = 256
 # The same for implicit steps, and those of one sweep: a step at which the machine does not arrive ends it.
 _WIDE_IMPLICIT, _SWEEP_IMPLICIT = 10, 32
+# Numbers of a run that are kept for points near by.
+_KEPT = 4_000_000
 # Such steps that may be left to the arrays: so many, and one of so many steps; with more of them all are.
 _LEFT, _LEFT_OF = 8, 16
 
@@ -47,8 +51,8 @@ class Sweeps:
         self._bent = False  # too often for the machine
         # steps at which Newton's method did not arrive at once in the last run
         self.hard = np.zeros(layout.steps, dtype=bool)
-        # stage values of the last run, from which those of a point near by are not far
-        self._before: Array | None = None
+        # (z, begun, stage values, their derivatives to (x, z) (S, K, n, n+nz)) of a run: what a point near by begins at
+        self._known_by: tuple[Array, Array, Array, Array] | None = None
 
     # ---- values
 
@@ -99,16 +103,36 @@ class Sweeps:
 
     def _newton(self, z: Array, begun: Array) -> tuple[Array, Array]:
         n, layout, size = self.slope.n, self.layout, self.scheme.stages
-        stages, near = np.empty((size, n, layout.steps)), self._before
+        stages, near = np.empty((size, n, layout.steps)), self._near(z)
         function = self.slope.newton.bound(z)
         for own, after in layout:
             x = begun[:, own]
             given = np.concatenate([known[:, own] for known in self.known], axis=-1)
-            found = stages_of(self.scheme, function, x, given, None if near is None else near[:, :, own])
+            found = stages_of(self.scheme, function, x, given, None if near is None else near(x, own))
             stages[:, :, own] = found
             begun[:, after] = found[-1]
-        self._before = stages
         return begun, stages
+
+    def remember(self, z: Array, begun: Array, stages: Array, slopes: Array) -> None:
+        """Keep a run as what points near by begin at; slopes : (S, K, n, n+nz) of the stage values to (x, z)."""
+        self._known_by = (z.copy(), begun, stages, slopes) if slopes.size <= _KEPT else None
+
+    def _near(self, z: Array) -> Callable[[Array, Any], Array] | None:
+        """Where the stages (S, n, k) of some steps lead that begin at x (n, k), by the slopes of the run that was kept;
+        NaN for those that begin further from there than they went."""
+        if self._known_by is None:
+            return None
+        before, begun, stages, slopes = self._known_by
+        n = self.slope.n
+        moved = stages + (slopes[..., n:] @ (z - before)).transpose(0, 2, 1)
+
+        def near(x: Array, own: Any) -> Array:
+            at, off = begun[:, own], x - begun[:, own]
+            there = moved[..., own] + np.einsum("skij,jk->sik", slopes[:, own, :, :n], off)
+            went = stages[..., own]
+            return np.where(beyond(there - went, went - at, went, at), np.nan, there)
+
+        return near
 
     def _in_turn(self, z: Array, begun: Array) -> tuple[Array, Array]:
         """The same for few intervals, one after the other."""

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from casadi_engine.model import Blueprint
+from casadi_engine.simulation import stage_newton, sweeps
+from casadi_engine.simulation.intervals import cut
+from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.stage_newton import solve_stages, stages_of
 from casadi_engine.simulation.tableau import RADAU
 
@@ -115,3 +120,46 @@ def test_stages_that_are_not_known_do_not_hide_the_others():
     near[..., 0] = np.nan
     found = stages_of(RADAU, uptake(0.1, 0.5), x, given, near)
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13)
+
+
+def eaten(made):
+    """Implicit steps, in many intervals, of a stock that is eaten with a rate S/(K + S)."""
+    b = Blueprint("eaten")
+    size, half = b.parameter("size", 2.0), b.parameter("half", 0.3)
+    s, u = b.state("s"), b.input("u")
+    b.ode("s", u - size * s / (half + s))
+    b.output("s", s)
+    model, time = b.model(), np.arange(151) * 0.1
+    grid = made.grid(1.0 + np.sin(time), step=0.1, start=0.0)
+    z = ca.SX.sym("z", 2)
+    fine = Fineness(RADAU, np.ones(150, np.intp))
+    return RungeKuttaPropagator(model, grid, cut(grid, 10), z, z, scale=made.scale(model), fineness=fine)
+
+
+@pytest.mark.parametrize(
+    ("size", "start", "share"), [(2.02, 1.03, 0.8), (2.0, 1.0, 0.5), (0.5, 8.0, 1.1)]
+)  # near by, the point itself, far off
+def test_a_point_near_by_begins_where_the_slopes_of_the_last_one_lead(made, monkeypatch, size, start, share):
+    """It is the same one to rounding, with fewer of Newton's iterations; far off it costs no more."""
+    asked, real = [], stage_newton._asked
+    monkeypatch.setattr(stage_newton, "_asked", lambda *given: asked.append(1) or real(*given))
+
+    def run(propagator, size, start):
+        asked.clear()
+        found = propagator.propagate(np.array([size, 0.3]), np.full((16, 1), start), 1)
+        return found, len(asked)
+
+    known = eaten(made)
+    run(known, 2.0, 1.0)
+    found, count = run(known, size, start)
+    wanted, without = run(eaten(made), size, start)
+    np.testing.assert_allclose(found.x, wanted.x, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(found.y, wanted.y, rtol=0, atol=1e-9)
+    assert count <= share * without
+
+
+def test_a_run_too_large_to_keep_is_none_to_begin_at(made, monkeypatch):
+    monkeypatch.setattr(sweeps, "_KEPT", 100)
+    known = eaten(made)
+    known.propagate(np.array([2.0, 0.3]), np.ones((16, 1)), 1)
+    assert known.sweeps._near(np.array([2.0, 0.3])) is None
