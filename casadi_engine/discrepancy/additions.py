@@ -32,10 +32,11 @@ from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.null_model import null_at
 from casadi_engine.discrepancy.path import FAILURES, form_of
 from casadi_engine.discrepancy.refit import Addition, addition
-from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
+from casadi_engine.discrepancy.refits import FACTOR, PART, Refits
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.tried import Tried
 from casadi_engine.discrepancy.unknown_law import depends_on, moving
 
 # Why a refit was not tried.

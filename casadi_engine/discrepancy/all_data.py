@@ -13,7 +13,8 @@ import numpy as np
 
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.path import FAILURES, Path
-from casadi_engine.discrepancy.refits import Refits, Tried
+from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.tried import Tried
 from casadi_engine.estimation import Fit
 from casadi_engine.experiment import Experiment, with_unique_names
 

@@ -69,7 +69,6 @@ from casadi_engine.discrepancy.only_rounding import without_what_rounding_leaves
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import ORDERS
-from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.repaired import (
     BEHIND_LAW,
     REFUSED,
@@ -87,6 +86,7 @@ from casadi_engine.discrepancy.repaired import (
 from casadi_engine.discrepancy.short_delays import with_short_delays
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.too_few import held_to_what_fresh_data_tell
+from casadi_engine.discrepancy.tried import key_of
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, imitators, unknown_law
 from casadi_engine.discrepancy.unseen_events import held_to_seen_events
 from casadi_engine.discrepancy.vanishing import may_vanish

@@ -9,9 +9,9 @@ from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.exchange import leaves_more
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.fresh_misfit import SEEN
-from casadi_engine.discrepancy.refits import Tried
 from casadi_engine.discrepancy.repaired import MORE_THAN_NOISE, SO_FAR, UNTOLD
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.tried import Tried
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.standard_errors import UNDETERMINED
 from casadi_engine.model import Model

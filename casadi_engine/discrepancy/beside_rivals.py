@@ -14,7 +14,8 @@ from dataclasses import replace
 
 from casadi_engine.deadline import TimeUp, ask
 from casadi_engine.discrepancy.in_place import start_without
-from casadi_engine.discrepancy.refits import FACTOR, Refits, Tried
+from casadi_engine.discrepancy.refits import FACTOR, Refits
+from casadi_engine.discrepancy.tried import Tried
 
 # Effects that are tried beside each of the rivals, the best rival first.
 _ADDED = (3, 3, 1, 1, 1)

@@ -36,11 +36,12 @@ from casadi_engine.discrepancy.membership import simpler
 from casadi_engine.discrepancy.pairs import price_of, together, tried_in_two, with_one_more
 from casadi_engine.discrepancy.path import Arrived
 from casadi_engine.discrepancy.refit import Refitter, vanished
-from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried
+from casadi_engine.discrepancy.refits import FACTOR, Refits
 from casadi_engine.discrepancy.repaired import Round
 from casadi_engine.discrepancy.screening import Screened, coloured
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.tried import Key, Tried
 from casadi_engine.discrepancy.ways import way
 from casadi_engine.estimation import Fit
 

@@ -50,14 +50,38 @@ def common_delay(repair: Repair) -> str:
         return _said(len(sensors), "late", where)
     if any(m.name == "input_lag" for one in repair.effects for m in one.members):
         return ""  # it is in the class
-    behind = {one.at: one for one in repair.effects if one.name == _LAG}
-    whole = all(_is_whole(one.amplitude) for one in behind.values())
-    if set(behind) != sensors or not whole or not _is_linear(model):
-        return ""
-    times = [one.parameters[f"{at}.{_LAG}.time"] for at, one in behind.items()]
-    if time := _one_time(times, clock):
+    if time := _whole_times(repair, _LAG, sensors, clock) if _is_linear(model) else "":
         return _said(len(sensors), "behind", f"{which} through a lag of {time} (an actuator)")
     return ""
+
+
+def late_input(repair: Repair) -> str:
+    """The same where all of every input acts late, or through a lag, by one time: sensors that are late by it, or in a
+    linear model behind by it, show the same; "" elsewhere."""
+    model = repair.model
+    ports = {f"input_{variable.name}" for variable in model.inputs}
+    sensors = [port.name for port in model.ports if port.kind == "sensor"]
+    if any(m.name in (_DELAY, _LAG) for one in repair.effects for m in one.members):
+        return ""  # it is in the class, or beside it
+    events = [one.key for one in model.effects if moves(one.effect)]
+    equations = ca.vertcat(model.closed_ode, model.output_expressions)
+    if not sensors or events or _know_the_time(model, equations, events):
+        return ""
+    which = "the only sensor is" if len(sensors) == 1 else f"all {len(sensors)} sensors are"
+    for name, what in (("input_delay", "late"), ("input_lag", "behind")):
+        time = _whole_times(repair, name, ports, clock_of(model))
+        if time and (name == "input_delay" or _is_linear(model)):
+            many = "The input acts" if len(ports) == 1 else "All inputs act"
+            return f"{many} late: where {which} {what} by {time}, the data are the same"
+    return ""
+
+
+def _whole_times(repair: Repair, name: str, ports: set[str], clock: Clock) -> str:
+    """The time by which all of what passes each of these ports is late, with its error; "" where there is none."""
+    found = {one.at: one for one in repair.effects if one.name == name}
+    if not found or set(found) != ports or not all(_is_whole(one.amplitude) for one in found.values()):
+        return ""
+    return _one_time([one.parameters[f"{at}.{name}.time"] for at, one in found.items()], clock)
 
 
 def _know_the_time(model: Model, equations: ca.SX, events: Sequence[str]) -> bool:

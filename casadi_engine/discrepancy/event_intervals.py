@@ -15,8 +15,9 @@ from casadi_engine.discrepancy.checked_errors import with_errors_of
 from casadi_engine.discrepancy.event_times import in_each_record
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.discrepancy.refits import Refits, Tried
+from casadi_engine.discrepancy.refits import Refits
 from casadi_engine.discrepancy.repaired import Repair
+from casadi_engine.discrepancy.tried import Tried
 from casadi_engine.estimation import Estimate
 
 # Rise of chi-squared within which 95 % of the true times are, and standard errors within which they are as well where

@@ -21,7 +21,8 @@ from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition, addition
-from casadi_engine.discrepancy.refits import Refits, Tried
+from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.tried import Tried
 from casadi_engine.effects import Grid
 from casadi_engine.experiment import Experiment
 

@@ -21,8 +21,9 @@ from casadi_engine.discrepancy.noise_choice import too_large
 from casadi_engine.discrepancy.noise_model import estimated_noise
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition, addition, parts_of
-from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
+from casadi_engine.discrepancy.refits import FACTOR, Refits
 from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.discrepancy.tried import Key, Tried, key_of
 from casadi_engine.discrepancy.unknown_law import moving
 
 Tell = Callable[[str], None]

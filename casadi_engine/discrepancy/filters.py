@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.exchanged_units import LAG
-from casadi_engine.discrepancy.refits import Key, Tried
 from casadi_engine.discrepancy.repaired import FoundEffect, Unknown
+from casadi_engine.discrepancy.tried import Key, Tried
 
 _OWN = ("sensor_delay", LAG)
 # Logarithm of the largest odds that are told.

@@ -23,9 +23,9 @@ from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.parameter_doubt import doubted, within_errors
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.discrepancy.refits import Key, key_of
 from casadi_engine.discrepancy.repaired import FRESH_DATA, Unknown
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.tried import Key, key_of
 from casadi_engine.discrepancy.unknown_law import does_more
 from casadi_engine.discrepancy.ways import ranked, way_so_far
 from casadi_engine.estimation import Fit

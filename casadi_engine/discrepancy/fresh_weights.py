@@ -26,7 +26,7 @@ from casadi_engine.discrepancy.pairs import with_one_more
 from casadi_engine.discrepancy.parameter_doubt import doubted, left_within_errors, log_foretold
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.discrepancy.refits import Key, Tried
+from casadi_engine.discrepancy.tried import Key, Tried
 from casadi_engine.estimation import Fit
 
 # Structures that are asked at most.

@@ -12,9 +12,10 @@ from casadi_engine.discrepancy.families import chosen_of, costs_of
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.path import Arrived
 from casadi_engine.discrepancy.refit import Addition, addition
-from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
+from casadi_engine.discrepancy.refits import FACTOR, PART, Refits
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.tried import Tried
 
 # Candidates that are refitted in the place of a member, the best by one step.
 _EXCHANGED = 6

@@ -31,7 +31,8 @@ from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import LINKS, Family
 from casadi_engine.discrepancy.refit_null import null_of_refit
-from casadi_engine.discrepancy.refits import Key, Refits, Tried
+from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.tried import Key, Tried
 from casadi_engine.estimation.refit_answer import Refit
 from casadi_engine.estimation.refit_problem import TIME_UP, RefitProblem
 from casadi_engine.model import Model

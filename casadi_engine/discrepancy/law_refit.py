@@ -30,7 +30,8 @@ from casadi_engine.discrepancy.law_rival import TAKEN
 from casadi_engine.discrepancy.law_setups import Setup
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.random_families import TIME, Course, Family, course_of, smooth_family
-from casadi_engine.discrepancy.refits import Refits, Tried
+from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.tried import Tried
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of, not_told_from
 from casadi_engine.experiment import Experiment
 

@@ -16,7 +16,8 @@ from casadi_engine.discrepancy.elsewhere_families import DROP, SHOWN, drops_of, 
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.random_families import TIME, Family, smooth_family, terms_at
-from casadi_engine.discrepancy.refits import Refits, Tried
+from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.tried import Tried
 from casadi_engine.effects import Amplitude, Effect, Grid
 from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.model import Model, Port

@@ -14,9 +14,10 @@ from casadi_engine.discrepancy.in_place import start_without
 from casadi_engine.discrepancy.library_candidates import library_candidates
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.refit import Addition, addition
-from casadi_engine.discrepancy.refits import Refits, key_of
+from casadi_engine.discrepancy.refits import Refits
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.tried import key_of
 from casadi_engine.effects import Effect, library
 
 # Correlation of what two effects do to the outputs from which they are called alike.

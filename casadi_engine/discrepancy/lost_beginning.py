@@ -10,8 +10,8 @@ import numpy as np
 from casadi_engine.discrepancy.wording import HINT
 
 if TYPE_CHECKING:
-    from casadi_engine.discrepancy.refits import Tried
     from casadi_engine.discrepancy.repaired import Repair
+    from casadi_engine.discrepancy.tried import Tried
 
 # Part of the squares that the best structure without a late sensor leaves of an output, and how many times the part of
 # the samples, from which a beginning is what is wrong: of a sensor that is late all of the motion is.

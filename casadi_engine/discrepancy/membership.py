@@ -8,7 +8,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from casadi_engine.discrepancy.refit import Addition, whitened_cost
+from casadi_engine.discrepancy.refit import Addition, numbers, whitened_cost
 from casadi_engine.discrepancy.repaired import Member
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.selection import selection_frequency
@@ -47,11 +47,6 @@ def strange(effects: Sequence[Addition]) -> int:
     may = [one for one in effects if "path" in getattr(one.candidate.source.effect, "attaches", ())]
     far = sum(one.kind == "path" for one in may)
     return far + sum(not one.source.model.ports[one.port].is_mechanical for one in sliding)
-
-
-def numbers(effects: Sequence[Addition]) -> int:
-    """How many numbers effects bring: amplitudes, and the nuisance parameters that are estimated."""
-    return sum(1 + sum(not grid.whole for grid in one.nuisance.values()) for one in effects)
 
 
 def _beyond(one: Addition, tried: Any) -> bool:

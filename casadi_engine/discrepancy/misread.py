@@ -44,7 +44,7 @@ _SAMPLES, _TRIED = 400, 6
 # Kinds of ports at which an effect is another way to read the data.
 _READ = ("input", "sensor", "parameter")
 # Work of a look, of all looks, and of a fit, in multiples of that of one start of the fit before.
-_LOOK, _LOOKS, _MORE = 0.5, 10.0, 4.0
+_LOOK, _LOOKS, _MORE = 0.3, 6.0, 4.0
 # Ways that leave no more than this factor times the squares of the best one are as good.
 _ALIKE = 1.1
 # Share of the time for all looks that one may take: a way in which nothing can be simulated takes no end.

@@ -6,8 +6,9 @@ leaves looks like a further law of the same signal. Such a one gains no more tha
 
 from __future__ import annotations
 
-from casadi_engine.discrepancy.refits import Refits, key_of
+from casadi_engine.discrepancy.refits import Refits
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.tried import key_of
 from casadi_engine.estimation.corner_widths import FELT
 
 

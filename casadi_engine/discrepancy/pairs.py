@@ -17,9 +17,10 @@ from casadi_engine.discrepancy.events import by_one_step
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
+from casadi_engine.discrepancy.refits import FACTOR, PART, Refits
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.tried import Tried
 
 # Rivals that are tried with one more effect, and effects that each is tried with, the best by one step.
 _RIVALS, _SECONDS = 3, 2

@@ -491,6 +491,11 @@ def freedom(fit: Fit) -> int:
     return len(fit.free) + sum(not e.fixed for states in fit.initial.values() for e in states.values())
 
 
+def numbers(effects: Sequence[Addition]) -> int:
+    """How many numbers effects bring: amplitudes, and the nuisance parameters that are estimated."""
+    return sum(1 + sum(not grid.whole for grid in one.nuisance.values()) for one in effects)
+
+
 def vanished(effects: Sequence[Addition], fit: Fit) -> bool:
     """True if a fit leaves nothing of one of its effects: on the bound where it is none, or made smaller and smaller
     while the data were content."""

@@ -53,7 +53,8 @@ from casadi_engine.discrepancy.random_families import (
     family_columns,
 )
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.discrepancy.refits import Refits, Tried
+from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.tried import Tried
 
 # The most probable functions of either kind, which are held against the noise that they leave themselves.
 _COLOURED = 3

@@ -11,9 +11,9 @@ from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.membership import class_of, ordered, reached
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.discrepancy.refits import Key, Tried, key_of
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.tried import Key, Tried, key_of
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.choice import Choice

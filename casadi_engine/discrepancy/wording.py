@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from casadi_engine.discrepancy.common_delay import as_an_input, common_delay
+from casadi_engine.discrepancy.common_delay import as_an_input, common_delay, late_input
 from casadi_engine.discrepancy.constant_inputs import constant_inputs
 from casadi_engine.discrepancy.exchanged_units import exchanges
 from casadi_engine.estimation.summary import BOUND_WORDS, count, number, with_error
@@ -49,7 +49,7 @@ def first_words(repair: Repair) -> list[str]:
         for key in (BOUNDS, STARTS, HINT, "exchanged", "hold", "left out")
         if key in repair.options
     ]
-    said += [late] if (late := common_delay(repair)) else []
+    said += [late] if (late := common_delay(repair) or late_input(repair)) else []
     said += as_an_input(repair)
     said += constant_inputs(repair)
     said += _of_internal_ports(repair.null_fit.model)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 LEVEL = 0.95
 # Refits on one side; the share of the root of the threshold within which an end counts as found; and how much further
 # than the quadratic has it an end is looked for.
-_MOST, _CLOSE, _FAR = 6, 0.03, 4.0
+_MOST, _CLOSE, _FAR = 12, 0.03, 4.0
 # Share of half an interval between two places around its end that tell it.
 _BRACKET = 0.2
 # Errors of a logarithm from which no ends are looked for: a factor of a million.
@@ -111,6 +111,7 @@ class Profiles:
         if search.coordinates.log[k] and root * size > _ENDLESS:
             return None  # the data do not determine it
         outer: tuple[float, float] | None = None
+        width = np.inf
         for _ in range(_MOST):
             there = min(there, limit) if sign > 0 else max(there, limit)
             refit = self._refit(k, there, x)
@@ -139,6 +140,9 @@ class Profiles:
             else:
                 outer = (there, risen)
                 there = inner + (there - inner) * (root - height) / (risen - height)
+            if outer is not None:  # where one side is far steeper than the other, secants hardly move
+                width, before = abs(outer[0] - inner), width
+                there = 0.5 * (inner + outer[0]) if width > 0.5 * before else there
         # what bends at a limit of another is not met by a few secants, but it is between two places that are close
         near = (
             outer is not None
@@ -195,4 +199,5 @@ class Profiles:
         """Entry k as it is printed, the others at the optimum."""
         v = self.errors.v.copy()
         v[k] = entry
-        return float(self.search.coordinates.values(v)[k])
+        z = self.search.coordinates.values(v)[k]
+        return float(np.clip(z, self.search.pmap.lower[k], self.search.pmap.upper[k]))

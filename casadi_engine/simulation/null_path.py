@@ -27,7 +27,7 @@ _TOLERANCE = 1e-9
 # Of the largest value of a state, what the cubic in the middle between two points may be off by.
 _CUBIC = 1e-4
 # Of a state's standard deviation, what steps of half the length may change it by.
-_OTHER = 1e-2
+_OTHER = 1e-3
 # Parts that a cell is cut into where it is more, and points of a path for each of the record's at most.
 _PARTS, _MOST = 4, 8
 # Cells longer than this many means are holes in a record: laws move there too.

@@ -7,9 +7,9 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.discrepancy.path import Path
 from casadi_engine.discrepancy.refit import addition
-from casadi_engine.discrepancy.refits import Tried, key_of
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.tried import Tried, key_of
 
 ONE = stub(candidate=stub(key=("overflow", "tanks")), amplitude="tanks.overflow.rate")
 

@@ -16,9 +16,10 @@ from casadi_engine.discrepancy.choice import Choice
 from casadi_engine.discrepancy.fresh import Portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.refit import Refitter, addition
-from casadi_engine.discrepancy.refits import PART, key_of
+from casadi_engine.discrepancy.refits import PART
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.tried import key_of
 from casadi_engine.discrepancy.ways import ranked
 from casadi_engine.effects import Amplitude, Effect
 from casadi_engine.errors import EstimationError
@@ -542,7 +543,7 @@ def test_a_law_that_rests_where_it_is_a_simpler_one_is_no_rival_of_that(
         arrived = path.Arrived(
             dict.fromkeys(names, 0.0), {}, 1.0, True, frozenset(names if held else names[1:]), None, {}
         )
-        return refits.Tried((one,), arrived, None, SimpleNamespace(log=1.0), dict)
+        return tried_by.Tried((one,), arrived, None, SimpleNamespace(log=1.0), dict)
 
     def fails(*_):
         raise FloatingPointError
@@ -569,7 +570,7 @@ def test_friction_that_differs_by_direction_is_none_beside_a_constant_torque():
             made.append(SimpleNamespace(candidate=candidate, key=f"leaf.{effect.name}"))
         own = {"leaf.asymmetric_friction.torque": 2.0, "leaf.asymmetric_friction.asymmetry": 1.0}
         arrived = path.Arrived(own, {}, 1.0, True, frozenset(), None, {})
-        return refits.Tried(tuple(made), arrived, None, SimpleNamespace(log=1.0), dict)
+        return tried_by.Tried(tuple(made), arrived, None, SimpleNamespace(log=1.0), dict)
 
     def fails(*_):
         raise FloatingPointError

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from casadi_engine.discrepancy.evidence import Levels, Prior, digest, evidence, levels_left
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
-from casadi_engine.discrepancy.refits import Tried
+from casadi_engine.discrepancy.tried import Tried
 
 SCALES = st.floats(-6, 6).map(lambda power: 10.0**power)
 SIGMA = {"speed": 0.3, "angle": 2.0}

@@ -6,7 +6,8 @@ import pytest
 
 from casadi_engine.discrepancy import refits as module
 from casadi_engine.discrepancy.evidence import Evidence
-from casadi_engine.discrepancy.refits import Counted, Refits, Tried
+from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.tried import Counted, Tried
 
 
 def test_what_a_late_sensor_cannot_tell_of_it_does_not_explain(monkeypatch):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from casadi_engine.discrepancy.only_rounding import without_what_rounding_leaves
-from casadi_engine.discrepancy.refits import key_of
+from casadi_engine.discrepancy.tried import key_of
 
 
 def effect(name):

@@ -8,7 +8,8 @@ from scipy.signal import lfilter
 
 from casadi_engine.discrepancy.evidence import Levels, innovations, levels_left
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
-from casadi_engine.discrepancy.refits import Refits, Tried
+from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.tried import Tried
 from casadi_engine.estimation.autoregression import autoregression
 
 COUNT = 1000
