@@ -14,7 +14,7 @@ from casadi_engine.discrepancy.fresh_misfit import HALF, SEEN, SURE
 from casadi_engine.discrepancy.no_noise import why_no_noise
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.repaired import FoundEffect, Nearest, Unknown
+from casadi_engine.discrepancy.repaired import UNTOLD, FoundEffect, Nearest, Unknown
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.wording import is_early
@@ -23,6 +23,7 @@ from casadi_engine.estimation import Fit
 
 # How often white noise of the level that was stated may be found larger.
 _BY_CHANCE = 0.01
+_CUT = "explains, and the time was up before it could be told what"
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +43,8 @@ class Claim:
     def withdrawn_for(self, unknown: Unknown | None, null: Station, why: str) -> Claim:
         """Without any effect: something else is missing."""
         gone = [replace(one, why_withdrawn=why) for one in self.found]
+        if gone and unknown is not None and unknown.sentence == UNTOLD:  # it was told by what is withdrawn
+            unknown = replace(unknown, sentence=f"more than {' and '.join(_names(self.found))} {_CUT}")
         proof = replace(self.proof, kept=self.proof.kept[:1], after=self.proof.before)
         near = (self.last, self.proof) if self.found else (self.nearest, self.nearest_proof)
         return Claim(proof, null, (), (*gone, *self.withdrawn), unknown, *near)
@@ -93,11 +96,15 @@ def reason_to_withdraw(
     # several that leave what its own past foretells follow it for a part of the way, each
     if enough and not known and (len(claim.found) == 1 or no_noise(claim.last) is None):
         return None
-    names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)
+    names = " and ".join(_names(claim.found))
     more = "not all of it" if closed >= HALF else "less of it than is left"
     words = f"{names} explains the gap best and closes {more}, which is no noise"
     unknown = claim.unknown or Unknown("what is left is coloured", {})
     return replace(unknown, sentence=f"{unknown.sentence}; {words}")
+
+
+def _names(found: Sequence[FoundEffect]) -> list[str]:
+    return [f"{one.name} at {one.at}" for one in found]
 
 
 def closed_on_fresh(proof: Confirmation, noise: NoiseModel) -> float | None:

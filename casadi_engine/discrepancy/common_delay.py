@@ -50,7 +50,8 @@ def common_delay(repair: Repair) -> str:
         return _said(len(sensors), "late", where)
     if any(m.name == "input_lag" for one in repair.effects for m in one.members):
         return ""  # it is in the class
-    if time := _whole_times(repair, _LAG, sensors, clock) if _is_linear(model) else "":
+    time = _whole_times(repair, _LAG, sensors, clock)
+    if time and _is_linear(model):
         return _said(len(sensors), "behind", f"{which} through a lag of {time} (an actuator)")
     return ""
 

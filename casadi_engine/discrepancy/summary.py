@@ -366,14 +366,14 @@ def _not_found(repair: Repair) -> list[Lines]:
 def _sizes(repair: Repair, told: list[NotFound], most: int) -> Lines:
     alike = [one for one in repair.not_found if one.excluded and one.twin]
     beyond = [one for one in repair.not_found if one.testable and not one.excluded]
-    rest = sum(not one.testable for one in repair.not_found)
+    rest = [one for one in repair.not_found if not one.testable]
     sizes = [Estimate(one.smallest_detectable, None, one.unit) for one in told]
     sizes = [clock_of(repair.model).told(size, always=False)[0] for size in sizes]
     parts = [f"{one.name} at {one.at} {e.value:.2g}{si(e.unit)}" for one, e in zip(told, sizes, strict=True)]
     parts = listed(parts, most)
     parts += [_not_told_apart(alike)] if alike else []
     parts += [f"no plausible size is excluded of {_listed(beyond)}"] if beyond else []
-    parts += [f"{rest} not testable with these data"] if rest else []
+    parts += [f"not testable with these data: {_listed(rest)}"] if rest else []
     vague = (
         " (some in units that were not stated)" if any(one.unit == NOT_STATED for one in told[:most]) else ""
     )

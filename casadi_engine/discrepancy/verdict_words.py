@@ -96,9 +96,13 @@ def headline(repair: Repair) -> str:
         False: "not confirmed by fresh data",
         None: left or "unconfirmed",
     }
-    others = [m.label for one in repair.effects for m in one.members[1:] if m.probability > _HARDLY]
-    likely = _more_probable(repair)
-    others = [label for label in others if label not in likely]
+    likely, several = _more_probable(repair), len(repair.effects) > 1
+    rivals = [(one, m) for one in repair.effects for m in one.members[1:] if m.probability > _HARDLY]
+    others = [
+        f"{m.label} in place of {one.name} at {one.at}" if several else m.label
+        for one, m in rivals
+        if m.label not in likely
+    ]
     doubt = f", or more probably {' or '.join(likely)}" if likely else ""
     if others:
         doubt += f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}"
@@ -379,7 +383,7 @@ def _of_class(repair: Repair) -> str:
     rival = one.members[1]
     # the same effect at two ports is left out by its port alone
     how = f'at="{one.at}"' if rival.name == one.name and not rival.more else f'without=["{rival.name}"]'
-    choose = f"decide by what you know of the system: ce.repair(..., {how})"
+    choose = f"decide by what you know of the system, and leave out what it cannot have: ce.repair(..., {how})"
     if others:
         names = [lead, *(f"{m.name} at {m.at}" for m in others)]
         alike = f"{', '.join(names[:-1])} and {names[-1]} are one and the same in data of this kind"

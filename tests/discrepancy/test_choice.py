@@ -11,6 +11,7 @@ import casadi_engine as ce
 from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.discrepancy import choice as module
 from casadi_engine.discrepancy import path, refits
+from casadi_engine.discrepancy import tried as tried_by
 from casadi_engine.discrepancy.additions import Additions
 from casadi_engine.discrepancy.choice import Choice
 from casadi_engine.discrepancy.fresh import Portions

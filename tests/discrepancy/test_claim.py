@@ -11,7 +11,7 @@ from casadi_engine.discrepancy import answer
 from casadi_engine.discrepancy import claim as module
 from casadi_engine.discrepancy.claim import Claim, reason_to_withdraw
 from casadi_engine.discrepancy.confirmation import Gap
-from casadi_engine.discrepancy.repaired import TOO_LITTLE, Unknown
+from casadi_engine.discrepancy.repaired import TOO_LITTLE, UNTOLD, Unknown
 from casadi_engine.discrepancy.unknown_law import UnknownLaw
 
 # narrow noise, whose swings die out after some twenty samples
@@ -260,6 +260,8 @@ def test_what_is_withdrawn_leaves_the_model_without_effects(monkeypatch):
         claim.proof.before,
         "why",
     )
+    untold = claim.withdrawn_for(Unknown(UNTOLD, {}), null, TOO_LITTLE).unknown
+    assert untold.sentence.startswith("more than drag at load explains, and the time was up")
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import casadi as ca
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.common_delay import as_an_input, common_delay
+from casadi_engine.discrepancy.common_delay import as_an_input, common_delay, late_input
 from casadi_engine.effects import LoadStep
 from casadi_engine.effects.protocol import Attachment
 from casadi_engine.estimation.fit import Estimate
@@ -117,3 +117,38 @@ def test_a_lag_of_the_sensor_is_one_of_the_input_in_linear_equations_alone(drag)
         else "The only sensor is behind: where the input F acts through a lag of 0.0600 ± 0.0010 s (an actuator), the "
         "data are the same"
     )
+
+
+def acting_late(effect, value=0.25, *, share=(1.0, None), bends=False, sensors=1, beside=()):
+    """A repair in which all of the only input, or a share of it, acts late."""
+    x, u, none = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX(0, 1)
+    ports = [SimpleNamespace(kind="sensor", name=f"sensor_y{k}") for k in range(sensors)]
+    model = SimpleNamespace(
+        ports=ports, inputs=[SimpleNamespace(name="p")], x=x, u=u, d=none, w=none, t=ca.SX.sym("t"), p=none,
+        closed_ode=u - x**2 if bends else u - x, output_expressions=x, closed_outputs=x, time_unit="s",
+        parameter_names=(), effects=[],
+    )  # fmt: skip
+    amplitude = SimpleNamespace(value=share[0], stderr=share[1], quadratic=None)
+    members = [SimpleNamespace(name=name) for name in (effect, *beside)]
+    found = SimpleNamespace(
+        name=effect, at="input_p", amplitude=amplitude, members=members,
+        parameters={f"input_p.{effect}.time": Estimate(value, 0.003, "s")},
+    )  # fmt: skip
+    return SimpleNamespace(model=model, effects=[found])
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (acting_late("input_lag"), "the only sensor is behind by 0.2500 ± 0.0030 s, the data are the same"),
+        (acting_late("input_delay", bends=True), "the only sensor is late by 0.2500 ± 0.0030 s"),
+        (acting_late("input_lag", sensors=2), "all 2 sensors are behind by 0.2500 ± 0.0030 s"),
+        (acting_late("input_lag", bends=True), ""),  # a law that bends shows it
+        (acting_late("input_lag", share=(0.5, 0.01)), ""),
+        (acting_late("input_lag", beside=("sensor_lag",)), ""),  # it is in the class
+    ],
+)
+def test_an_input_that_acts_late_is_a_sensor_that_is_behind(found, said):
+    """A lag of a tachometer was named as one of the pressure, confirmed, without a word: one noise of six does that."""
+    assert said in late_input(found)
+    assert bool(late_input(found)) == bool(said)
