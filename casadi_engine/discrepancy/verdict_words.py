@@ -383,7 +383,9 @@ def _of_class(repair: Repair) -> str:
     rival = one.members[1]
     # the same effect at two ports is left out by its port alone
     how = f'at="{one.at}"' if rival.name == one.name and not rival.more else f'without=["{rival.name}"]'
-    choose = f"decide by what you know of the system, and leave out what it cannot have: ce.repair(..., {how})"
+    choose = (
+        f"decide by what you know of the system, and leave out what it cannot have: ce.repair(..., {how})"
+    )
     if others:
         names = [lead, *(f"{m.name} at {m.at}" for m in others)]
         alike = f"{', '.join(names[:-1])} and {names[-1]} are one and the same in data of this kind"

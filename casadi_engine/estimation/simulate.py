@@ -105,7 +105,7 @@ def simulate(
     >>> run["omega"].values.round(3)
     array([100.   ,  60.653,  36.788])
     """
-    source, fit = model, check_band(model, parameters) if band else model
+    source, fit, asked = model, check_band(model, parameters) if band else model, parameters
     if isinstance(fit, Fit):
         model, parameters, initial = _of_fit(fit, data, parameters, initial)
     _check_kinds(model, data, parameters, initial)
@@ -149,6 +149,10 @@ def simulate(
     )  # a late sensor is shifted at the end
     start = np.array([as_number(given[name]) for name in names], dtype=float)
     run = _run(model, data, values, start, replace(grid, measured={}), method, small(tolerance))
+    if outside := _beyond_bounds(source, asked):
+        last = run.history[-1]
+        last = replace(last, arguments={**last.arguments, "outside of bounds": outside})
+        run = replace(run, history=(*run.history[:-1], last))
     return with_band(source, fit, data, run, grid, given, method) if band else run
 
 
@@ -170,6 +174,17 @@ def _of_fit(
         if data.name in begins and begins[data.name] == here and _shows_the_same(fit, data):
             initial = fit.initial[data.name]
     return fit.model, parameters, initial
+
+
+def _beyond_bounds(source: Any, asked: Any) -> dict[str, str]:
+    """Numbers that were given outside the bounds that a model, or the set of a fit, gives its parameters."""
+    known = source.parameters if isinstance(source, Fit) else source.parameters()
+    outside = {}
+    for name, value in asked.items() if isinstance(asked, Mapping) else ():
+        own, number = known[name], float(value)
+        if not own.min <= number <= own.max:
+            outside[name] = f"{number:g}, where its bounds are {own.min:g} and {own.max:g}"
+    return outside
 
 
 def _shows_the_same(fit: Fit, data: Experiment) -> bool:

@@ -57,7 +57,8 @@ def check_feasible(
     value, slope, low, high, slack = value[affine], slope[affine], low[affine], high[affine], slack[affine]
     for row, index in enumerate(affine):
         _check_interval(constraints[index], value[row], slope[row], slack[row], lower - start, upper - start)
-    _check_together([constraints[i].label for i in affine], value, slope, low, high, start, lower, upper)
+    told = [f"{constraints[i].label} {_limits(constraints[i].min, constraints[i].max)}" for i in affine]
+    _check_together(told, value, slope, low, high, start, lower, upper)
 
 
 def _check_alike(constraints: Sequence[CompiledConstraint]) -> None:
@@ -117,6 +118,15 @@ def _check_interval(
             allowed=f"{constraint.min:.6g} to {constraint.max:.6g}",
             cure="widen the bounds of the parameters, or the constraint",
         )
+
+
+def _limits(low: float, high: float) -> str:
+    """``from 1 to 3``, and one side where there is one."""
+    if low == high:
+        return f"= {low:g}"
+    if math.isinf(low):
+        return f"<= {high:g}"
+    return f">= {low:g}" if math.isinf(high) else f"from {low:g} to {high:g}"
 
 
 def _check_together(

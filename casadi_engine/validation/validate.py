@@ -22,7 +22,7 @@ from casadi_engine.experiment.twins import twin_of
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
-from casadi_engine.validation.correlation import Correlation
+from casadi_engine.validation.correlation import Correlation, check_lags
 from casadi_engine.validation.held import held_on, what_was_freed
 from casadi_engine.validation.level_tests import mean_test, size_test
 from casadi_engine.validation.parameter_check import ParameterCheck, Refit, noise_changed, refit
@@ -399,6 +399,15 @@ def _check(
             why = f"only {count} valid samples: whether they are white shows from {_LEAST} on"
             few = ResidualTest(None, None, None, count, why=why)
         lags = min(_LAGS, max(1, count // _OF_LAG))
+    else:
+        check_lags(lags)
+        if (count := int(np.count_nonzero(mask))) <= 2 * (lags + 2):  # no test could be made
+            raise ExperimentError(
+                f"{record}/{output} has too few samples for so many lags",
+                seen=f"lags={lags}, {count} valid samples",
+                allowed=f"1 to {max(1, (count - 5) // 2)}, less than half of the samples",
+                cure="leave lags out, or give fewer",
+            )
     size = _sizes(residual, model, mask, jacobian)
     checks = check_residual(residual, drives, mask=mask, jacobian=jacobian, lags=lags, size=size)
     return OutputCheck(

@@ -53,6 +53,8 @@ def test_parameters_outside_the_models_range_are_taken(run_up):
         ce.one_inertia(), run_up(), parameters={"J_eng": 5e3, "C_eng": 0.0}
     )  # J_eng <= 1e3 in a fit; the initial state is fitted with the value held
     assert np.ptp(run["omega"].values) < 0.1
+    said = run.history[-1].arguments["outside of bounds"]
+    assert said == {"J_eng": "5000, where its bounds are 1e-06 and 1000"}
 
 
 def test_a_missing_initial_state_is_fitted_by_least_squares(run_up):

@@ -105,6 +105,19 @@ def test_a_slope_that_is_an_underflow_is_no_size():
     assert not fit.converged or abs(fit.values["k"] - 0.7) < 3 * fit.stderr["k"]
 
 
+def test_more_lags_than_a_record_has_are_refused(model):
+    """1000 lags of 100 samples were PASSED, with no test of whiteness made."""
+    fit = ce.estimate(model, run_up(), progress=False)
+    fresh = run_up()
+    count = int(fresh["omega"].mask.sum())
+    allowed = rf"run/omega has too few samples .* seen: lags={count}, {count} valid .* allowed: 1 to {(count - 5) // 2},"
+    with pytest.raises(ce.errors.ExperimentError, match=allowed):
+        ce.validate(fit, fresh, lags=count)
+    assert ce.validate(fit, fresh, lags=(count - 5) // 2)
+    with pytest.raises(ce.errors.ExperimentError, match="the number of lags does not fit; seen: many"):
+        ce.validate(fit, fresh, lags="many")
+
+
 def test_no_fresh_data_are_refused(model):
     fit = ce.estimate(model, run_up(), progress=False)
     with pytest.raises(
