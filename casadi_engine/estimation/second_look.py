@@ -24,6 +24,8 @@ LOWER, _SECONDS, _TIMES = 0.1, 2.0, 3.0
 _WORTH = 20.0
 # Starts of a fit that is lost, and of one of a predictor that is far from its start.
 _STARTS, _SEVERAL = 8, 4
+# Seconds of a fit that is followed by others unasked.
+_QUICK = 5.0
 # Logarithm of the factor by which a parameter has left its start where another search is worth its time.
 _WAY = 1.0
 # What the option says then.
@@ -77,7 +79,16 @@ def looked_at_twice(
         if not lost(found):
             return found
         return _another(found, again, kept, {"starts": _STARTS}, _TIMES, searched, _WORTH)
-    return over_whole_records(fit, again, kept) if fit.converged else fit
+    return _from_other_starts(over_whole_records(fit, again, kept), again, kept) if fit.converged else fit
+
+
+def _from_other_starts(fit: Fit, again: Again, kept: Callable[[Fit, dict[str, Any]], Fit]) -> Fit:
+    """The fit, or a better one from other starts, of one that went far or to a bound and leaves more than noise, where
+    that is quick."""
+    more = any("is not white" in words and words.startswith("the residual of") for words in fit.messages)
+    if not (more and is_elsewhere(fit) and fit.timing["total"] < _QUICK) or wild_samples(fit) is not None:
+        return fit
+    return _another(fit, again, kept, {"starts": _STARTS}, 1.0, {OTHERS: _STARTS})
 
 
 def or_whole(begun: Callable[[dict[str, Any]], Fit]) -> Fit:
