@@ -13,6 +13,7 @@ from casadi_engine.discrepancy.verdict_words import acts_where, headline, next_s
 from casadi_engine.discrepancy.wording import (
     LISTED,
     acts_as,
+    as_fitted,
     first_words,
     held_out,
     in_unit,
@@ -369,7 +370,10 @@ def _sizes(repair: Repair, told: list[NotFound], most: int) -> Lines:
     rest = [one for one in repair.not_found if not one.testable]
     sizes = [Estimate(one.smallest_detectable, None, one.unit) for one in told]
     sizes = [clock_of(repair.model).told(size, always=False)[0] for size in sizes]
-    parts = [f"{one.name} at {one.at} {e.value:.2g}{si(e.unit)}" for one, e in zip(told, sizes, strict=True)]
+    parts = [
+        f"{one.name} at {one.at} {'a share of ' * (e.unit == '1')}{e.value:.2g}{si(e.unit)}"
+        for one, e in zip(told, sizes, strict=True)
+    ]
     parts = listed(parts, most)
     parts += [_not_told_apart(alike)] if alike else []
     parts += [f"no plausible size is excluded of {_listed(beyond)}"] if beyond else []
@@ -377,6 +381,8 @@ def _sizes(repair: Repair, told: list[NotFound], most: int) -> Lines:
     vague = (
         " (some in units that were not stated)" if any(one.unit == NOT_STATED for one in told[:most]) else ""
     )
+    if told and (names := as_fitted(repair.fit)):
+        vague += f" with {names} as fitted"
     return wrapped(f"Smallest detectable sizes (95 % power){vague}: {'; '.join(parts)}", "  ")
 
 

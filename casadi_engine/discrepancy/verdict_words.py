@@ -36,6 +36,7 @@ from casadi_engine.discrepancy.wording import (
     UNRESOLVED,
     USER,
     acting_at,
+    as_fitted,
     is_blind,
     is_early,
     is_untold,
@@ -291,6 +292,8 @@ def next_step(repair: Repair) -> str:
             return "record more before you rely on it: these data exclude no effect of any size"
         if _FEW * sum(one.excluded for one in repair.not_found) < len(repair.not_found):
             return "record more before you rely on it: these data exclude hardly any effect"
+        if names := as_fitted(repair.fit):
+            return f"fix one of {names}, or give it a prior: the sizes hold with these as fitted, not told by the data"
         listed = "use the model; larger effects than those listed are excluded"
         return f"{listed}{', others are not' if may_hide(repair) else ''}{_on_fixed(repair)}"
     if repair.verdict == "unnamed":

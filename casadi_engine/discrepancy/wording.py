@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from casadi_engine.model.port_units import is_speed
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import FoundEffect, Member, Repair
-    from casadi_engine.estimation import Estimate
+    from casadi_engine.estimation import Estimate, Fit
     from casadi_engine.model import Model
 
 # Who stopped a search.
@@ -161,6 +162,14 @@ def in_unit(unit: str) -> str:
 def si(unit: str) -> str:
     """A unit behind a number, nothing where it was not stated."""
     return "" if unit == NOT_STATED else in_unit(unit)
+
+
+def as_fitted(fit: Fit) -> str:
+    """The parameters that the data do not determine together, as an inertia, a stiffness and a damper but for their
+    ratios: sizes of effects hold with these as fitted; "" without any."""
+    weights: Mapping[str, float] = max((one.weights for one in fit.undetermined), key=len, default={})
+    names = [name for name in weights if name in fit.free]
+    return ", ".join(names) if len(names) > 1 else ""
 
 
 def held_out(repair: Repair) -> str:

@@ -91,7 +91,7 @@ def make_fit(
         *found.said,
         *of_the_search(search, best, errors, reason, optima, stopped, noise_notes),
         *against_priors(search, white),
-        *of_the_integration(integration),
+        *of_the_integration(integration, best.cost / max(search.problem.samples, 1)),
     )
     doubted = [name for name in pmap.free if found.estimates[name].quadratic]
     known = errors.optimal and set(doubted) <= set(search.model.parameter_names)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -198,11 +199,15 @@ def of_the_noise(
     return list(dict.fromkeys(found))
 
 
-def of_the_integration(integration: dict[str, ErrorEstimate]) -> tuple[str, ...]:
-    """What integration errors do to the estimates, where it is more than they are allowed to."""
+def of_the_integration(integration: dict[str, ErrorEstimate], misfit: float) -> tuple[str, ...]:
+    """What integration errors do to the estimates, where it is more than they are allowed to.
+
+    misfit : chi-squared per sample; beside a residual that is no noise of the levels steps may be as much longer
+    """
+    most = _FELT * math.sqrt(max(misfit, 1.0))
     return tuple(
         f"the integration of {record} moves the estimates by up to {found.shift:.2g} standard errors, and shorter "
         "steps were not reached: the equations change too sharply; make them smoother"
         for record, found in integration.items()
-        if found.shift is not None and found.shift > _FELT
+        if found.shift is not None and found.shift > most
     )

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import cached_property
 from typing import NamedTuple
 
@@ -77,6 +76,10 @@ _UNCHECKED = (
     "the errors are those of the curvature at the optimum, and were not checked away from it: that takes more than "
     "{:.0f} s, as a simulation there is far slower; ce.profile(fit) looks there"
 )
+_UNLOOKED = (
+    "whether states that no output shows may exchange their parts, at another optimum, was not looked at to its end: "
+    "that takes more than {:.0f} s"
+)
 # Logarithm of the growth of a change of the start from which a straight step leads nowhere near where the motion goes.
 _BENT = float(np.log(1e3))
 
@@ -105,11 +108,19 @@ def doubts_of(
         return (), {}, {}, unchecked
     rises: dict[str, Rises] = {}
     of_states: dict[int, Rises] = {}
+    unlooked: str | None = None
     found = rivals(search, best, errors, optima)
     found += lost(search, errors, residuals) + interpolated(search, errors) + unstable(errors)
     if not found:
-        with suppress(np.linalg.LinAlgError):  # a point of that search; the answer does not hang on it
-            found += exchanged(search, errors)
+        try:
+            with Deadline(seconds, clock=time.process_time):
+                found += exchanged(search, errors)
+        except np.linalg.LinAlgError:  # a point of that search; the answer does not hang on it
+            pass
+        except TimeUp:
+            if late():
+                raise
+            unlooked = _UNLOOKED.format(seconds)
     if unchecked is None:
         around = _Around(search, best, errors, residuals)
         try:
@@ -124,7 +135,7 @@ def doubts_of(
                 raise
             rises, of_states, unchecked = {}, {}, _UNCHECKED.format(seconds)
     found += bounds(search, wider or errors, rises) + state_bounds(search, wider or errors)
-    return tuple(found), rises, of_states, unchecked
+    return tuple(found), rises, of_states, unchecked or unlooked
 
 
 def growing(search: Search, best: Attempt) -> str | None:

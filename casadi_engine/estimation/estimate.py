@@ -38,6 +38,7 @@ from casadi_engine.estimation.second_look import LOWER, looked_at_twice, or_whol
 from casadi_engine.estimation.short_intervals import short_enough
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.unused_parameters import held_if_unused, not_asked
+from casadi_engine.estimation.whole_turns import but_for_turns
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
@@ -247,6 +248,7 @@ def _followed_up(
     fit = in_time(lambda: from_lower_places(fit, again), lambda: fit)
     quick = partial(again, check=None)
     fit = in_time(lambda: looked_at_twice(fit, quick, with_errors), lambda: fit)
+    fit = in_time(lambda: but_for_turns(fit, again), lambda: fit)
     fit = in_time(lambda: told_from_their_bounds(fit, arguments["parameters"], again), lambda: fit)
     return replace(fit, messages=(*faults(fit), *aliased(fit), *fit.messages))
 

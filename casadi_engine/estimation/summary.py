@@ -59,15 +59,24 @@ def _lines(fit: Fit, rows: int, notes: int) -> list[str]:
         *_correlations(fit),
         *_directions(fit),
         *_optima(fit),
-        *_said(fit)[:notes],
+        *_said(fit, notes),
         *wrapped(f"Next: {'; '.join(next_steps(fit)[:2])}", "      "),
     ]
 
 
-def _said(fit: Fit) -> list[str]:
-    """The messages, but for those on directions, which have lines of their own."""
+def _said(fit: Fit, most: int) -> list[str]:
+    """The messages that have room in so many lines, each whole, but for those on directions, which have lines of their
+    own; the first one is cut where it has none, and how many more there are is said."""
     rest = [message for message in fit.messages if not message.startswith("the data do not determine")]
-    return [line for message in rest[:3] for line in wrapped(f"Note: {message}", "      ")]
+    notes, lines, shown = [wrapped(f"Note: {message}", "      ") for message in rest], list[str](), 0
+    for note in notes:
+        room = most - len(lines) - (shown + 1 < len(notes))  # the count of the others stands behind
+        if len(note) > room and lines:
+            break
+        shown += 1
+        lines += note if len(note) <= most else [*note[: most - 1], f"{note[most - 1][: COLUMNS - 2]} …"]
+    left = len(notes) - shown
+    return [*lines, f"Note: {left} more in fit.messages"][: len(lines) + (left > 0 and len(lines) < most)]
 
 
 # ---- numbers ------------------------------------------------------------------------------------------

@@ -110,7 +110,9 @@ def test_more_lags_than_a_record_has_are_refused(model):
     fit = ce.estimate(model, run_up(), progress=False)
     fresh = run_up()
     count = int(fresh["omega"].mask.sum())
-    allowed = rf"run/omega has too few samples .* seen: lags={count}, {count} valid .* allowed: 1 to {(count - 5) // 2},"
+    allowed = (
+        rf"run/omega has too few samples .* seen: lags={count}, {count} valid .*: 1 to {(count - 5) // 2},"
+    )
     with pytest.raises(ce.errors.ExperimentError, match=allowed):
         ce.validate(fit, fresh, lags=count)
     assert ce.validate(fit, fresh, lags=(count - 5) // 2)
