@@ -111,10 +111,12 @@ def values_of(path: Path, parameters: Parameters, *, given: Options) -> Paramete
     path : a result.json, or the folder that holds one. ResultError if it holds no parameters, none for a
     parameter of the set, one that the set does not have, or values by record for one of the set.
     """
+    from casadi_engine.model.corners import WIDTH
     from casadi_engine.parameters import near_matches
 
-    stored = _stored(path)
     result = parameters.copy()
+    # jumps that a repair rounded are sharp in the problem's own model
+    stored = {k: v for k, v in _stored(path).items() if k in result or not k.endswith(WIDTH)}
     chosen = {text.partition("=")[0].strip() for text in (*given.set, *given.fix) if "=" in text}
     unknown = [name for name in stored if name.partition("@")[0] not in result]
     if unknown:

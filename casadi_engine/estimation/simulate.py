@@ -178,9 +178,11 @@ def _of_fit(
 
 def _beyond_bounds(source: Any, asked: Any) -> dict[str, str]:
     """Numbers that were given outside the bounds that a model, or the set of a fit, gives its parameters."""
+    if not isinstance(asked, Mapping):
+        return {}
     known = source.parameters if isinstance(source, Fit) else source.parameters()
     outside = {}
-    for name, value in asked.items() if isinstance(asked, Mapping) else ():
+    for name, value in asked.items():
         own, number = known[name], float(value)
         if not own.min <= number <= own.max:
             outside[name] = f"{number:g}, where its bounds are {own.min:g} and {own.max:g}"

@@ -20,6 +20,8 @@ from casadi_engine.model.jumps import Held, jumps_in, with_held_jumps
 if TYPE_CHECKING:
     from casadi_engine.model.model import Model
 
+# What the names of the widths end in.
+WIDTH = ".jump.width"
 # Share of the signal's typical magnitude over which its corner is rounded, before a motion is known.
 _WIDTH = 5e-3
 
@@ -96,7 +98,7 @@ class _Rounding:
         """tanh(signal/width), with a parameter of its own."""
         model, states = self._model, ca.vertsplit(self._model.x)
         stem = str(signal) if signal.is_symbolic() else f"corner_{len(self.corners) + 1}"
-        width = ca.SX.sym(f"{stem}.jump.width")
+        width = ca.SX.sym(f"{stem}{WIDTH}")
         known = ca.vertcat(model.w, *self.widths)
         numbers = [0.0] * model.w.numel() + [one.value for one in self.declarations]
         slopes = ca.jacobian(ca.substitute(signal, known, ca.DM(numbers)), model.x)

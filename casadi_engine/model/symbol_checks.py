@@ -12,10 +12,6 @@ from casadi_engine.model.declarations import Port, Variable
 from casadi_engine.model.model import Model
 
 _MOVED = "move the term: channels enter by drives, nonlinear torques by laws of ports"
-_SHOWN = (
-    "show what the port moves in its place: of an accelerometer the speed, its samples added up over time, or a state "
-    "that follows the acceleration with a short lag (d(acc)/dt = (force - m*acc)/(m*lag), the port in the force)"
-)
 
 
 def check_symbols(model: Model) -> None:
@@ -33,7 +29,7 @@ def check_symbols(model: Model) -> None:
         ("the ode of", model.states, model.ode, ("states", "drives", "slots", "time", "parameters")),
         ("the drive", model.drives, model.drive_expressions, ("channels", "time", "parameters")),
         ("the law of port", model.ports.with_slot, model.laws, tuple(groups)),
-        ("the output", model.outputs, model.output_expressions, ("states", "drives", "parameters")),
+        ("the output", model.outputs, model.output_expressions, ("states", "drives", "slots", "parameters")),
     ]
     for what, items, expressions, allowed in rules:
         wrong = [
@@ -54,7 +50,7 @@ def check_symbols(model: Model) -> None:
             f"{what} {items[row].name} uses a symbol that may not be used there",
             seen=f"{symbol.name()} (one of the {group})",
             allowed=", ".join(allowed),
-            cure=_SHOWN if (what, group) == ("the output", "slots") else _MOVED,
+            cure=_MOVED,
         )
 
 

@@ -94,7 +94,7 @@ def slot_direction(
 
     All in (x, u, d, t, p); laws that depend on drives or other slots respond.
     """
-    by_slot, law_by_drive, ode_by_drive, output_by_drive = _responses(model)
+    by_slot, shown_by_slot, law_by_drive, ode_by_drive, output_by_drive = _responses(model)
     ode = ca.SX.zeros(model.x.numel(), 1)
     out = ca.SX.zeros(len(model.outputs), 1) if outputs is None else outputs
     total = ca.sparsify(slots)
@@ -103,13 +103,14 @@ def slot_direction(
         total = total + ca.mtimes(law_by_drive, drives)
         ode = ode + ca.mtimes(ode_by_drive, drives)
         out = out + ca.mtimes(output_by_drive, drives)
-    return Direction(name, ca.densify(ode + ca.mtimes(by_slot, total)), ca.densify(out))
+    ode, out = ode + ca.mtimes(by_slot, total), out + ca.mtimes(shown_by_slot, total)
+    return Direction(name, ca.densify(ode), ca.densify(out))
 
 
 @lru_cache(maxsize=16)
-def _responses(model: Model) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """What the ode makes of the slots (n, nw), other laws' answers included, and of the drives: laws (nw, m), ode
-    (n, m) and outputs (ny, m)."""
+def _responses(model: Model) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    """What the ode (n, nw) and outputs (ny, nw) make of the slots, other laws' answers included, and of the drives:
+    laws (nw, m), ode (n, m) and outputs (ny, m)."""
     inside, every = ca.jacobian(model.laws, model.w), ca.SX.eye(model.w.numel())
     part = every
     for _ in range(model.w.numel()):
@@ -119,7 +120,8 @@ def _responses(model: Model) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         every = every + part
     moved = (model.laws, model.ode, model.output_expressions)
     by_drive = (ca.jacobian(one, model.d) for one in moved)
-    return (ca.mtimes(ca.jacobian(model.ode, model.w), every), *by_drive)
+    by_slot = (ca.mtimes(ca.jacobian(one, model.w), every) for one in (model.ode, model.output_expressions))
+    return (*by_slot, *by_drive)
 
 
 def parameter_direction(model: Model, slope: Array, *, name: str) -> Direction:
@@ -164,10 +166,11 @@ class Sweep:
         )
         xi = ca.vertcat(own, inputs)
         self.constant = model.linear is not None and not model.has_slot_laws and path.grid.uniform
-        slopes = ca.jacobian(model.ode, model.x)
+        jacobian = [ca.jacobian(one, model.x) for one in (model.ode, model.output_expressions)]
         if model.w.numel():
-            slopes += ca.mtimes(ca.jacobian(model.ode, model.w), ca.jacobian(model.slot_laws, model.x))
-        jacobian = [slopes, ca.jacobian(model.output_expressions, model.x)]
+            laws = ca.jacobian(model.slot_laws, model.x)
+            by_slot = (ca.jacobian(one, model.w) for one in (model.ode, model.output_expressions))
+            jacobian = [own + ca.mtimes(part, laws) for own, part in zip(jacobian, by_slot, strict=True)]
         self._jacobian = path.function(jacobian)
         first, last = self._some()
         self.scale = balance(first)

@@ -111,7 +111,7 @@ def test_more_lags_than_a_record_has_are_refused(model):
     fresh = run_up()
     count = int(fresh["omega"].mask.sum())
     allowed = (
-        rf"run/omega has too few samples .* seen: lags={count}, {count} valid .*: 1 to {(count - 5) // 2},"
+        rf"run_up/omega has too few samples .* seen: lags={count}, {count} valid .*: 1 to {(count - 5) // 2},"
     )
     with pytest.raises(ce.errors.ExperimentError, match=allowed):
         ce.validate(fit, fresh, lags=count)

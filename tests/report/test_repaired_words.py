@@ -92,7 +92,8 @@ def test_a_class_names_its_members_and_what_would_split_it(repaired):
     )
     assert next_step(changed) == (
         "no other input or sensor and no longer record that could be tried by simulation tells them apart; a record of "
-        'another kind may, or decide by what you know of the system: ce.repair(..., without=["backlash"])'
+        "another kind may, or decide by what you know of the system, and leave out what it cannot have: "
+        'ce.repair(..., without=["backlash"])'
     )
     assert mood(changed) == "poor"
     split = NextExperiment("a run-up to 1800 RPM", ("coulomb_friction and backlash",), 6.1, 1.2)
