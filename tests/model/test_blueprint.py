@@ -201,13 +201,14 @@ def test_symbol_where_it_may_not_be_used():
     assert "seen: x (one of the states); allowed: channels, time, parameters; do: move" in str(caught.value)
 
 
-def test_output_may_not_use_time_or_slots():
+def test_a_drive_may_not_use_slots_and_an_output_may():
     b, x, _ = small()
     slot = b.port("body", "inertia")
     b.ode("x", slot)
-    b.output("good", x)
-    b.output("bad", x + slot)
-    with pytest.raises(ModelError, match=r"the output bad uses .*seen: w_body \(one of the slots\)"):
+    b.output("good", x + slot)
+    assert b.model().outputs[0].name == "good"
+    b.drive("bad", slot)
+    with pytest.raises(ModelError, match=r"the drive bad uses .*seen: w_body \(one of the slots\)"):
         b.model()
 
 
