@@ -238,11 +238,11 @@ class Answer:
         return claim.withdrawn_for(doubt, seen, TOO_LITTLE)
 
     def _is_large(self, last: Station) -> bool:
-        """True where an error of a sensor is far larger than one may well be: no sensor is so wrong, and a law that is
-        missing looks like that."""
+        """True where an error of a sensor or an input is far larger than one may well be: none is so wrong, and a law
+        that is missing looks like that."""
         null, path = last.screened.null, self.search.refits.path
         priors = priors_of(null, path.parameters(last.effects), last.effects)
-        at_sensors = [one.amplitude for one in last.effects if one.kind == "sensor"]
+        at_sensors = [one.amplitude for one in last.effects if one.kind in ("sensor", "input")]
         return any(
             abs(value - prior.centre) > _LARGE * prior.deviation
             for name, value in zip(null.parameters, null.values, strict=True)

@@ -6,14 +6,15 @@ is seen through a cosine. All that is looked at around one of them says nothing 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.errors import ModelError
+from casadi_engine.errors import ModelError, UnitError
 from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.final_check import printed_cost, residual, response
 from casadi_engine.estimation.predictor import output_stride
@@ -22,6 +23,7 @@ from casadi_engine.estimation.same_response import same_response
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.standard_errors import Uncertainty
 from casadi_engine.estimation.starts import chained_nodes, nodes_by_first
+from casadi_engine.experiment.units import NOT_STATED, Unit, read_unit
 from casadi_engine.simulation.propagator import steps_kept
 
 Array = NDArray[np.float64]
@@ -51,13 +53,30 @@ _RATE, _EQUAL = {"rad/s": 2 * np.pi, "Hz": 1.0}, 1e-6
 _SAME, _TOLD = 1e-2, _ALIKE / 1e-4
 
 
+class Swap(NamedTuple):
+    """Two parameters, by their numbers, that take each other's part: one of so many units of the other, or of its
+    inverse, as a time constant and a rate."""
+
+    one: int
+    other: int
+    factor: float = 1.0
+    inverse: bool = False
+
+    def of(self, z: Array) -> tuple[float, float]:
+        """The values of both after the exchange."""
+        one, other = float(z[self.one]), float(z[self.other])
+        if self.inverse:
+            return self.factor / other, self.factor / one
+        return other * self.factor, one / self.factor
+
+
 @dataclass(frozen=True)
 class Move:
-    """What is done to an optimum: numbers of parameters that are exchanged, by pairs, of those that take the other
+    """What is done to an optimum: pairs of parameters that are exchanged, numbers of those that take the other
     sign, and of states that begin with the other sign, in all records; angles that are turned, and frequencies that
     look alike at the samples, each with what is added."""
 
-    pairs: tuple[tuple[int, int], ...] = ()
+    pairs: tuple[Swap, ...] = ()
     signs: tuple[int, ...] = ()
     states: tuple[int, ...] = ()
     turns: tuple[tuple[int, float], ...] = ()
@@ -87,8 +106,9 @@ class Twin:
 
 
 def twins(search: Search, errors: Uncertainty, limit: float) -> list[Twin]:
-    """Pairs of parameters of one unit, and two of them at once, whose exchange raises chi-squared by less than
-    ``limit``, the others and the first states at their best; and likewise what may have the other sign."""
+    """Pairs of parameters of one dimension, or of its inverse, and two of them at once, whose exchange raises
+    chi-squared by less than ``limit``, the others and the first states at their best; and likewise what may have the
+    other sign."""
     starts = [lay.take(errors.x)[0] for lay in search.problem.layouts]
     metric = np.asarray(np.linalg.pinv(errors.covariance.matrix, hermitian=True), dtype=np.float64)
     joined = printed_cost(search, errors.v, [point.r for point in search.problem.at(errors.x).records])
@@ -148,7 +168,7 @@ def _twins(
             known.append(point)
             own = [search.model.states[i].name for i in move.states]
             signs = (*(names[k] for k in move.signs), *(f"the first {name}" for name in own))
-            pairs = tuple((names[i], names[j]) for i, j in move.pairs)
+            pairs = tuple((names[p.one], "1/" * p.inverse + names[p.other]) for p in move.pairs)
             if move.turns:
                 signs = ()
             values = () if pairs or signs else _differing(search, v, exchange.v)
@@ -203,8 +223,8 @@ def _stages(search: Search) -> list[Sequence[RecordTerm]]:
 def _moved(search: Search, v: Array, starts: Sequence[Array], move: Move) -> tuple[Array, list[Array]] | None:
     """The point v (nv,) and first states (n,) of each record that a move leads to; None beyond bounds."""
     z, lays = search.coordinates.values(v), search.problem.layouts
-    for i, j in move.pairs:
-        z[[i, j]] = z[[j, i]]
+    for swap in move.pairs:
+        z[[swap.one, swap.other]] = swap.of(z)
     z[list(move.signs)] *= -1
     for k, amount in (*move.turns, *move.aliases):
         z[k] += amount
@@ -233,7 +253,8 @@ class _Exchange:
         self.v, self.starts, self.first = np.zeros(0), starts, np.zeros(0)
         self._begins = bool(move.states)
         at = len(search.pmap.free)
-        self._held = [*move.signs, *(k for pair in move.pairs for k in pair), *(k for k, _ in move.turns)]
+        swapped = (k for pair in move.pairs for k in (pair.one, pair.other))
+        self._held = [*move.signs, *swapped, *(k for k, _ in move.turns)]
         for start in starts:
             self._held += [at + i for i in move.states]
             at += len(start)
@@ -361,9 +382,9 @@ def _moves(search: Search, v: Array, starts: Sequence[Array]) -> Iterator[Move]:
     that go on by a turn, or by half of one where something takes the other sign, as the phase of a swing does; then two
     pairs at once, as a resistance and a capacity of one branch are exchanged with those of another."""
     units = [search.parameters[name.split("@")[0]].unit for name in search.pmap.free]
-    pairs = [(i, j) for i, j in combinations(range(len(units)), 2) if units[i] == units[j]]
-    yield from (Move((pair,)) for pair in pairs)
     z, states = search.coordinates.values(v), list[tuple[int, ...]]()  # none of what enters in lines
+    pairs = list(_swaps(units, z))
+    yield from (Move((pair,)) for pair in pairs)
     step = _sampled_every(search)
     if not all(record.linear for record in search.records):
         states = _each_and_all(np.any([start != 0 for start in starts], axis=0))
@@ -381,7 +402,43 @@ def _moves(search: Search, v: Array, starts: Sequence[Array]) -> Iterator[Move]:
         amounts = (rate - 2 * z[k], rate, -rate, -rate - 2 * z[k])
         if abs(z[k]) > rate / 2:  # below half the rate of samples a frequency is meant as it is
             yield from (Move(aliases=((k, amount),)) for amount in amounts if z[k] * (z[k] + amount) > 0)
-    yield from (Move(both) for both in combinations(pairs, 2) if len({*both[0], *both[1]}) == 4)
+    for both in combinations([pair for pair in pairs if not pair.inverse], 2):
+        if len({k for pair in both for k in (pair.one, pair.other)}) == 4:
+            yield Move(both)
+
+
+def _swaps(units: Sequence[str], z: Array) -> Iterator[Swap]:
+    """Pairs that may be exchanged: of one unit as it is written, or of one dimension; and positive ones of which one
+    has the dimension of the other's inverse, or that have not stated theirs."""
+    read = [_read(unit) for unit in units]
+    for i, j in combinations(range(len(units)), 2):
+        one, other = read[i], read[j]
+        if units[i] == units[j]:
+            yield Swap(i, j)
+        elif one and other and one.dimension == other.dimension:
+            yield Swap(i, j, float(other.factor / one.factor))
+        elif not (z[i] > 0 and z[j] > 0):
+            continue
+        elif one and other and _inverse(one.dimension) == set(other.dimension.split()):
+            yield Swap(i, j, float(1 / (one.factor * other.factor)), inverse=True)
+        elif NOT_STATED in (units[i], units[j]):
+            yield from (Swap(i, j), Swap(i, j, inverse=True))
+
+
+def _read(unit: str) -> Unit | None:
+    with suppress(UnitError):
+        return read_unit(unit)
+    return None
+
+
+def _inverse(dimension: str) -> set[str]:
+    """The parts of the inverse of a dimension as it is written: "s-1 m3" of "s m-3"."""
+    turned = set()
+    for part in dimension.split():
+        name = part.rstrip("0123456789-")
+        power = -int(part[len(name) :] or 1)
+        turned.add(name if power == 1 else f"{name}{power}")
+    return turned
 
 
 def _sampled_every(search: Search) -> float | None:

@@ -25,6 +25,8 @@ _WEIGHT, _ROUNDING = 1e-5, 1e-12
 _SMALL, _TOLERANCE = 1e-3, 1e-8
 # Iterations of a robust level at most, and the change at which it has settled.
 _TURNS, _SETTLED = 50, 1e-4
+# Times the largest sample, and its inverse, beyond which a stated level is none: the digits of a number.
+_BEYOND = 1e15
 # Degrees of freedom that a level has at least.
 _LEAST = 1.0
 
@@ -52,6 +54,21 @@ class NoiseLevels:
                 for out in model.outputs
             ]
         )
+
+        self._check_stated()
+
+    def _check_stated(self) -> None:
+        """Raise EstimationError for a stated level that is no noise of such samples: below their digits, or so far
+        above them that nothing of them counts."""
+        for name, size, estimated in zip(self.outputs, self._size, self.estimated, strict=True):
+            level = np.nan if estimated else float(self.noise.level(name))
+            if level < size / _BEYOND or level > size * _BEYOND:
+                raise EstimationError(
+                    f"the noise level of {name} is none of such samples",
+                    seen=f"{level:g}, where the largest sample is {size:.3g}",
+                    allowed=f"{size / _BEYOND:.1g} to {size * _BEYOND:.1g}",
+                    cure=f"look at its unit, or leave {name} out of the noise to have its level estimated",
+                )
 
     def _series(self, name: str) -> list[Array]:
         return [r.grid.measured[name].values for r in self.records if name in r.grid.measured]

@@ -1,6 +1,7 @@
 """What a fit says of itself: acting constraints, ends that are no optimum, coloured residuals, Ctrl-C."""
 
 import os
+import re
 import signal
 import threading
 
@@ -103,6 +104,16 @@ def test_a_slope_that_is_an_underflow_is_no_size():
     data = ce.Experiment.from_arrays("a", units={"time": "h", "c": "1"}, time=t, c=5 * np.exp(-0.7 * t))
     fit = ce.estimate(b.model(), data, noise=ce.Noise(c=0.01), progress=False)
     assert not fit.converged or abs(fit.values["k"] - 0.7) < 3 * fit.stderr["k"]
+
+
+@pytest.mark.parametrize("level", [1e-300, 1e300])
+def test_a_level_that_is_no_noise_of_the_samples_is_refused(model, level):
+    """1e-300 blamed the start values, 1e300 ended in an OverflowError."""
+    with pytest.raises(
+        ce.errors.EstimationError,
+        match=rf"the noise level of omega is none .* seen: {re.escape(f'{level:g}')}, where",
+    ):
+        ce.estimate(model, run_up(), noise=ce.Noise(omega=level), progress=False)
 
 
 def test_more_lags_than_a_record_has_are_refused(model):
