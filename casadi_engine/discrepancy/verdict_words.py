@@ -318,10 +318,13 @@ def _on_fixed(repair: Repair) -> str:
     gap."""
     pars = repair.fit.parameters
     fixed = [name for name in pars if not pars[name].vary and pars[name].tie is None and "." not in name]
-    if not fixed:
-        return ""
     more = f" and {len(fixed) - _NAMED} more" if len(fixed) > _NAMED else ""
-    return f"; its values count on what is fixed: {', '.join(fixed[:_NAMED])}{more}"
+    gains = [
+        one.at.partition("_")[2] for one in repair.not_found if one.name == "input_gain" and not one.testable
+    ]
+    counts = [f"what is fixed: {', '.join(fixed[:_NAMED])}{more}"] if fixed else []
+    counts += [f"the gain of {' and of '.join(gains)}, which no data of this kind tell"] if gains else []
+    return f"; its values count on {', and on '.join(counts)}" if counts else ""
 
 
 def _unconfirmed(repair: Repair) -> str:
@@ -383,6 +386,8 @@ def _of_class(repair: Repair) -> str:
         return "record data that tell the members of the class apart"
     lead, others = f"{one.name} at {one.at}", twins(one)
     tried = "no other input or sensor and no longer record that could be tried by simulation tells them apart"
+    if any(words.startswith("next experiment: not looked for") for words in repair.messages):
+        tried = "which other record tells them apart was not looked for, as the time was up"
     rival = one.members[1]
     # the same effect at two ports is left out by its port alone
     how = f'at="{one.at}"' if rival.name == one.name and not rival.more else f'without=["{rival.name}"]'

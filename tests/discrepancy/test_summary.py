@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.repaired import SO_FAR, UNTOLD, Member, NextExperiment, Unknown
+from casadi_engine.discrepancy.repaired import SO_FAR, UNTOLD, Member, NextExperiment, NotFound, Unknown
 from casadi_engine.discrepancy.summary import _told_by, noise_of_chi2
 from casadi_engine.discrepancy.verdict_words import acts_where, headline, next_step
 from casadi_engine.discrepancy.wording import in_unit, port_cure, twins
@@ -237,3 +237,19 @@ def test_a_search_that_was_none_claims_nothing(leaking):
 def test_a_score_and_a_share_do_not_contradict_each_other(p, share, said):
     """'z = -8.9, p = 1, explains 94 % of the gap', and '-100 %', were printed in one line."""
     assert _told_by(SimpleNamespace(z=5.0, p_value=p, share_explained=share)) == said
+
+
+def test_a_search_for_other_records_that_was_cut_has_found_none(leaking):
+    """ "Not looked for, as the time was up" stood beside "no other input that could be tried tells them apart"."""
+    assert "could be tried by simulation tells them apart" in next_step(leaking)
+    cut = replace(leaking, messages=("next experiment: not looked for, as the time was up",))
+    assert "which other record tells them apart was not looked for" in next_step(cut)
+    assert "could be tried" not in next_step(cut)
+
+
+def test_values_count_on_gains_that_no_data_tell(leaking):
+    """A heater gave 15 % less than its input, all masses came out 18 % wrong: "nothing is missing, use the model"."""
+    gain = NotFound("input_gain", "input_q", np.inf, "1", testable=False)
+    drag = NotFound("quadratic_drag", "tank", 1e-5, "m3/s", testable=True)
+    found = replace(leaking, verdict="nothing missing", effects=(), not_found=(drag, gain), stopped="")
+    assert next_step(found).endswith("its values count on the gain of q, which no data of this kind tell")
