@@ -1,10 +1,10 @@
 """Effects that no library names: score tests of unknown smooth functions of a signal, at every location.
 
 A torque psi f(v), f a Gaussian process over the range of a signal v (of the port, its place where that is not known,
-time), is written in cosines of falling variance and a line. The test looks at the few combinations of them to which the
-data are most sensitive under that prior, as a group; the course f(v) with its band is found under the same prior. What
-comes back with every turn of a shaft is looked for order by order. An input and a sensor are locations too: what they
-do may be another function of what they say.
+time), is written in cosines of falling variance, a line and a parabola. The test looks at the few combinations of them
+to which the data are most sensitive under that prior, as a group; the course f(v) with its band is found under the same
+prior. What comes back with every turn of a shaft is looked for order by order. An input and a sensor are locations too:
+what they do may be another function of what they say.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ def families_of(port: str, signal: Signal, terms: int) -> list[tuple[list[ca.SX]
         variances = _variances(orders)
         basis = [turn(0.5 * k * v) for k in orders for turn in (ca.cos, ca.sin)]
         return [(basis, replace(blank, variances=np.repeat(variances, 2), cycle=True))]
-    family = replace(blank, variances=_of_waves_and_line(terms))
+    family = replace(blank, variances=_of_waves_and_ends(terms))
     return [(terms_at(family, v), family)]
 
 
@@ -200,12 +200,11 @@ def _variances(orders: NDArray[np.integer]) -> Array:
     return np.asarray(1 / (1 + (orders / _ROUGH) ** 2) ** 2)
 
 
-def _of_waves_and_line(terms: int) -> Array:
-    """Of cosines, and a line at the end with that of the first one: cosines have no slope at the ends of the range, and
-    with them alone a function that does not end level is off there by more than the noise of good data."""
-    orders = np.arange(terms)
-    orders[-1] = 1
-    return _variances(orders)
+def _of_waves_and_ends(terms: int) -> Array:
+    """Of cosines, and behind them of a line and a parabola, with those of the cosines that are like them: cosines have
+    no slope at the ends of the range, and with them alone a function that does not end level is off there by more than
+    the noise of good data."""
+    return _variances(np.append(np.arange(terms - 2), (1, 2)))
 
 
 def smooth_family(port: str, signal: str, values: Array, *, terms: int = _TERMS) -> Family:
@@ -213,14 +212,15 @@ def smooth_family(port: str, signal: str, values: Array, *, terms: int = _TERMS)
     low, high = float(values.min()), float(values.max())
     count, _ = np.histogram(values, bins=_POINTS, range=(low, high))
     return Family(
-        port, signal, tuple(range(terms)), _of_waves_and_line(terms), low, high, count / len(values)
+        port, signal, tuple(range(terms)), _of_waves_and_ends(terms), low, high, count / len(values)
     )
 
 
 def terms_at(family: Family, signal: ca.SX) -> list[ca.SX]:
     """The terms of a smooth family as expressions of its signal."""
     share = (signal - family.low) / (family.high - family.low)
-    return [*(ca.cos(math.pi * k * share) for k in range(len(family.variances) - 1)), 2 * share - 1]
+    waves = (ca.cos(math.pi * k * share) for k in range(len(family.variances) - 2))
+    return [*waves, 2 * share - 1, (2 * share - 1) ** 2]
 
 
 def term_candidate(model: Model, port: Port, signal: Signal, number: int, term: ca.SX) -> Candidate:
@@ -265,8 +265,8 @@ def _basis_at(family: Family, points: Array) -> Array:
         phase = points[:, None] * (family.order or 0.5 * half)
         return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(points), -1)
     share = (points - family.low) / (family.high - family.low)
-    waves = np.cos(math.pi * np.arange(len(family.members) - 1) * share[:, None])
-    return np.column_stack([waves, 2 * share - 1])
+    waves = np.cos(math.pi * np.arange(len(family.members) - 2) * share[:, None])
+    return np.column_stack([waves, 2 * share - 1, (2 * share - 1) ** 2])
 
 
 def family_row(scores: Scores, family: Family, *, dimensions: int = _DIMENSIONS) -> Row | None:

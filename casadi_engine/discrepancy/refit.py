@@ -16,7 +16,7 @@ import numpy as np
 from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import compress
-from casadi_engine.discrepancy.exchanged_units import BEHIND, LAG
+from casadi_engine.discrepancy.exchanged_units import BEHIND, LAG, WRONG
 from casadi_engine.discrepancy.linear_algebra import basis, without
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
@@ -407,6 +407,11 @@ class Refitter:
                 pars[f"{one.key}.{name}"].set(min=min(s[0] for s in own), max=max(s[1] for s in own))
             if one.placed and len(self.data) > 1 and not (one.times and one.shared):
                 pars.vary_by_experiment(one.amplitude)
+            elif (
+                one.candidate.effect in BEHIND
+            ):  # where more is missing its share would run away, and stand for that
+                own = pars[one.amplitude]
+                own.set(min(own.value, 1 + WRONG), max=min(own.max, 1 + WRONG))
         return pars
 
     def _try(

@@ -1,6 +1,7 @@
 """The size that would have been found is said where it says something, and words where it does not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -79,9 +80,10 @@ def test_the_plausible_size_is_that_which_moves_an_output_by_its_variation():
     assert scales["constant_torque"] == pytest.approx(0.8 * varied, rel=0.1)
 
 
-def printed(some, said="nothing missing"):
+def printed(some, said="nothing missing", undetermined=()):
     class Found:
         not_found, verdict, model, unknown = tuple(some), said, ce.one_inertia(), None
+        fit = SimpleNamespace(undetermined=undetermined, free=("J", "k", "c"))
 
     forms = _not_found(Found())
     return " ".join(" ".join(forms[0] if forms else ()).split())
@@ -100,5 +102,13 @@ def test_the_screen_says_it_in_words():
     text = printed([drag])
     assert "no plausible size is excluded of quadratic_drag at rotor" in text
     assert f"{drag.smallest_detectable:.2g}" not in text
+    scale = SimpleNamespace(weights={"J": 0.6, "k": 0.6, "c": 0.5})
+    text = printed(found.values(), undetermined=(scale,))
+    assert "Smallest detectable sizes (95 % power) with J, k, c as fitted: " in text
+    offset = replace(found["quadratic_drag"], name="sensor_gain", unit="1", smallest_detectable=0.041)
+    lag = replace(offset, name="input_gain", testable=False)
+    text = printed([offset, lag])
+    assert "sensor_gain at rotor a share of 0.041" in text
+    assert "not testable with these data: input_gain at rotor" in text
     text = printed([drag, *(replace(drag, name=f"effect_{k}") for k in range(4))])
     assert "of quadratic_drag at rotor, effect_0 at rotor, effect_1 at rotor and 2 more" in text

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from casadi_engine.discrepancy import refits as module
+from casadi_engine.discrepancy import tried as module
 from casadi_engine.discrepancy.evidence import Evidence
 from casadi_engine.discrepancy.refits import Refits
 from casadi_engine.discrepancy.tried import Counted, Tried

@@ -1,5 +1,6 @@
 """Unknown functions of a signal: found, located and drawn, and not found where there is nothing."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -9,10 +10,13 @@ from casadi_engine.discrepancy.compression import compress
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_distribution import NullDistribution
 from casadi_engine.discrepancy.random_families import (
+    course_of,
     family_candidates,
     family_columns,
     family_course,
     family_row,
+    smooth_family,
+    terms_at,
 )
 from casadi_engine.discrepancy.score import score
 
@@ -135,3 +139,23 @@ def test_a_term_beyond_all_numbers_is_not_tested(shaft, monkeypatch):
     made = score(compress(null, candidates, NoiseModel(shaft.sigma), columns={"shaft": columns}))
     assert made.information[families[0].members[0]] == 0
     assert made.testable.any()
+
+
+@pytest.mark.parametrize("terms", [12, 20])
+def test_a_function_that_does_not_end_level_is_followed_to_its_ends(terms):
+    """Cosines have no slope there: a field that saturates was 5 V off beside 0.5 V of noise, and a drift with time of
+    the sensor was "far more probable"."""
+    current = np.linspace(8.0, 28.0, 400)
+    family = smooth_family("parameter_K", "i", current, terms=terms)
+    symbol = ca.SX.sym("i")
+    basis = ca.Function("basis", [symbol], [ca.vertcat(*terms_at(family, symbol))])(current[None]).full().T
+    wanted = 1 / (1 + 0.025 * current)
+
+    def left(columns):
+        return np.abs(wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]).max()
+
+    assert left(basis) < 1e-5 < 1e-3 < left(basis[:, :-2])  # a line and a parabola are the last ones
+    np.testing.assert_allclose(basis[:, -2], np.linspace(-1, 1, 400), atol=1e-12)
+    assert (family.variances[-2], family.variances[-1]) == (family.variances[1], family.variances[2])
+    course = course_of(family, np.eye(terms)[-2], np.zeros((terms, 0)))
+    np.testing.assert_allclose(course.mean, np.linspace(-1, 1, len(course.mean)), atol=1e-12)

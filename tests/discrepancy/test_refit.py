@@ -305,3 +305,19 @@ def test_amplitudes_start_inside_their_bounds_and_at_the_size_of_a_bent_law(moto
     bent = replace(candidate, size=0.7)
     assert addition(bent, 0.1).start == 0.7
     assert addition(bent, 0.1).choices == 1
+
+
+def test_a_share_of_a_late_input_does_not_run_away():
+    """Beside a leak that was missing too a share of 5.9 stood for it, as none is, and the lag was in no structure: it is
+    told within 0.06 s of 20 s now, and the leak with it."""
+    time = np.arange(300) * 0.1
+    units = {"T": "N m", "omega": "rad/s"}
+    data = ce.Experiment.from_arrays(
+        "run", time=time, units=units, T=np.sin(time), omega=100 + np.cumsum(np.sin(time - 0.5)) * 0.1
+    )
+    fit = ce.estimate(ce.one_inertia(), data, noise=ce.Noise(omega=1.0), progress=False)
+    (candidate, *_) = screen(fit, ["input_lag"], at=["input_T"]).candidates
+    refitter = Refitter(fit.model, fit.model.parameters(), (data,), None, OPTIONS, base=fit)
+    one = addition(candidate, 5.9)
+    own = refitter.parameters_of(refitter.extended([one]), [one])[one.amplitude]
+    assert (own.value, own.max) == (1.5, 1.5)

@@ -1,7 +1,9 @@
 """The null path: the states along a record by the integrator that fits of the same model have."""
 
+import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import casadi_engine as ce
@@ -110,3 +112,23 @@ def test_what_lies_before_a_step_of_a_held_input_knows_nothing_of_it():
     held = data["P"].values[:-1]
     exact = half[:2, :2] @ x + half[:2, 2:] * held
     np.testing.assert_allclose(other, exact, rtol=0, atol=1e-5)
+
+
+def test_friction_that_sticks_moves_as_it_does_by_shorter_steps():
+    """By one step to a sample a path was 0.7 % of its scatter off, and noise 1 %: right effects did not fit."""
+    b = ce.Blueprint("rotor")
+    w, torque = b.state("w", unit="rad/s", scale=5.0), b.input("T", unit="N m")
+    j, c, dry = (b.parameter(n, v, min=0) for n, v in (("J", 0.025), ("c", 0.06), ("dry", 0.25)))
+    b.ode("w", (torque - c * w - dry * ca.tanh(w / 0.002)) / j)
+    b.output("w", w, unit="rad/s")
+    model, time = b.model(), np.arange(400) * 0.05
+    given = 0.5 * np.array([0.0, 2.5, 0.0, 0.0, 3.5, 0.8, 2.5, 0.0])[(time / 2.5).astype(int)]
+    units = {"T": "N m", "w": "rad/s"}
+    data = ce.Experiment.from_arrays("run", time=time, units=units, T=given, w=np.zeros(400))
+    true = solve_ivp(
+        lambda t, x: (np.interp(t, time, given) - 0.06 * x - 0.25 * np.tanh(x / 0.002)) / 0.025, (0, time[-1]), [0.0],
+        t_eval=time, method="Radau", rtol=1e-8, atol=1e-10, max_step=0.01,
+    ).y[0]  # fmt: skip
+    path = null_path(model, lay_grid(model, data), model.parameter_vector(), np.zeros(1), steps=1)
+    shown = np.interp(time, path.grid.time, path.x[0])
+    assert np.abs(shown - true).max() < 2e-3 * np.std(true)
