@@ -410,8 +410,8 @@ class Refitter:
             elif (
                 one.candidate.effect in BEHIND
             ):  # where more is missing its share would run away, and stand for that
-                own = pars[one.amplitude]
-                own.set(min(own.value, 1 + WRONG), max=min(own.max, 1 + WRONG))
+                share = pars[one.amplitude]
+                share.set(min(share.value, 1 + WRONG), max=min(share.max, 1 + WRONG))
         return pars
 
     def _try(

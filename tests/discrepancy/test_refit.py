@@ -308,8 +308,8 @@ def test_amplitudes_start_inside_their_bounds_and_at_the_size_of_a_bent_law(moto
 
 
 def test_a_share_of_a_late_input_does_not_run_away():
-    """Beside a leak that was missing too a share of 5.9 stood for it, as none is, and the lag was in no structure: it is
-    told within 0.06 s of 20 s now, and the leak with it."""
+    """Beside a leak that was missing too a share of 5.9 stood for it, as none is, and the lag was in no structure: it
+    is told within 0.06 s of 20 s now, and the leak with it."""
     time = np.arange(300) * 0.1
     units = {"T": "N m", "omega": "rad/s"}
     data = ce.Experiment.from_arrays(
