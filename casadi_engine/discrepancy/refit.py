@@ -407,10 +407,8 @@ class Refitter:
                 pars[f"{one.key}.{name}"].set(min=min(s[0] for s in own), max=max(s[1] for s in own))
             if one.placed and len(self.data) > 1 and not (one.times and one.shared):
                 pars.vary_by_experiment(one.amplitude)
-            elif (
-                one.candidate.effect in BEHIND
-            ):  # where more is missing its share would run away, and stand for that
-                share = pars[one.amplitude]
+            elif one.candidate.effect in BEHIND:
+                share = pars[one.amplitude]  # where more is missing it would run away, and stand for that
                 share.set(min(share.value, 1 + WRONG), max=min(share.max, 1 + WRONG))
         return pars
 

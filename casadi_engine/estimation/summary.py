@@ -75,8 +75,9 @@ def _said(fit: Fit, most: int) -> list[str]:
             break
         shown += 1
         lines += note if len(note) <= most else [*note[: most - 1], f"{note[most - 1][: COLUMNS - 2]} …"]
-    left = len(notes) - shown
-    return [*lines, f"Note: {left} more in fit.messages"][: len(lines) + (left > 0 and len(lines) < most)]
+    if shown < len(notes) and len(lines) < most:
+        lines.append(f"Note: {len(notes) - shown} more in fit.messages")
+    return lines
 
 
 # ---- numbers ------------------------------------------------------------------------------------------

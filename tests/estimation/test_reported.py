@@ -11,6 +11,7 @@ from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer_notes import of_the_integration
 from casadi_engine.estimation.ipopt import Solver
 from casadi_engine.estimation.standard_errors import _acts
+from casadi_engine.estimation.summary import _said
 
 INF = np.inf
 STEP, COUNT = 0.01, 1000
@@ -426,3 +427,15 @@ def test_a_start_on_a_saddle_is_no_optimum(law):
     assert fit.converged
     assert fit.values["p"] * fit.values.get("q", fit.values["p"]) == pytest.approx(2.0, abs=0.01)
     assert bool(fit.undetermined) == (law == "product")
+
+
+def test_notes_are_printed_whole():
+    """One ended in "may still be too small, as the residual", and the next line was another one."""
+    words = "a word of eleven " * 60
+    fit = SimpleNamespace(messages=("short", words, "third"))
+    assert _said(fit, 4) == ["Note: short", "Note: 2 more in fit.messages"]
+    assert _said(SimpleNamespace(messages=("one", "two")), 4) == ["Note: one", "Note: two"]
+    cut = _said(SimpleNamespace(messages=(words,)), 3)
+    assert len(cut) == 3
+    assert cut[-1].endswith(" …")
+    assert all(len(line) <= 100 for line in cut)
