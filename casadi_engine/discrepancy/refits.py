@@ -379,11 +379,11 @@ class Refits:
         alike = [one for one in self.pool.values() if len(one.effects) == len(best.effects)]
         simpler = self._simpler(lead)[:_SHARP_RIVALS]
         near = sorted(
-            (one for one in alike if one is not sharp and (one.log > least or one in simpler)),
+            (one for one in alike if one is not sharp and one.log > least and one not in simpler),
             key=lambda one: -one.log,
         )
         parts = [one for one in self.pool.values() if one.effects and one.key < lead.key]
-        for one in (*near[:_RIVALS], *parts):
+        for one in (*simpler, *near[:_RIVALS], *parts):
             if not late():
                 self._again_sharp(one)
         self.weigh()
@@ -414,7 +414,9 @@ class Refits:
         """The most probable rival that leaves less than the best structure once its corners are sharp, likewise; beside
         white noise of those with fewer numbers, which one more number may stand for a sharper corner of."""
         known = self.path.felt, self.path.moved, self.blur
-        rivals = self._cornered(best) if self.levels.memory else self._simpler(best)
+        rivals = self._simpler(best)
+        if self.levels.memory:
+            rivals = [one for one in self._cornered(best) if len(one.effects) == len(best.effects)]
         for one in [one for one in rivals if one.key not in self._fine][:_SHARP_RIVALS]:
             if late():
                 break
@@ -431,10 +433,10 @@ class Refits:
         return best, None
 
     def _cornered(self, best: Tried) -> list[Tried]:
-        """Rivals of a structure whose laws have corners, the most probable first."""
+        """Rivals of a structure, of no more effects, whose laws have corners, the most probable first."""
         alike = [
             one for one in self.pool.values()
-            if len(one.effects) == len(best.effects) and one.key != best.key and one.log > -math.inf
+            if len(one.effects) <= len(best.effects) and not one.key <= best.key and one.log > -math.inf
             and self.path.cornered(one.effects)
         ]  # fmt: skip
         return sorted(alike, key=lambda one: -one.log)
