@@ -23,7 +23,7 @@ from casadi_engine.estimation import Fit
 
 # How often white noise of the level that was stated may be found larger.
 _BY_CHANCE = 0.01
-_CUT = "explains, and the time was up before it could be told what"
+_CUT = "explains, and the time was up before it was identified"
 
 
 @dataclass(frozen=True, eq=False)

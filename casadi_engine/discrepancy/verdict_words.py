@@ -293,7 +293,7 @@ def next_step(repair: Repair) -> str:
         if _FEW * sum(one.excluded for one in repair.not_found) < len(repair.not_found):
             return "record more before you rely on it: these data exclude hardly any effect"
         if names := as_fitted(repair.fit):
-            return f"fix one of {names}, or give it a prior: the sizes hold with these as fitted, not told by the data"
+            return f"fix one of {names}, or give it a prior: the sizes hold for their fitted values alone"
         listed = "use the model; larger effects than those listed are excluded"
         return f"{listed}{', others are not' if may_hide(repair) else ''}{_on_fixed(repair)}"
     if repair.verdict == "unnamed":
@@ -323,7 +323,7 @@ def _on_fixed(repair: Repair) -> str:
         one.at.partition("_")[2] for one in repair.not_found if one.name == "input_gain" and not one.testable
     ]
     counts = [f"what is fixed: {', '.join(fixed[:_NAMED])}{more}"] if fixed else []
-    counts += [f"the gain of {' and of '.join(gains)}, which no data of this kind tell"] if gains else []
+    counts += [f"the gain of {' and of '.join(gains)}, which these data cannot determine"] if gains else []
     return f"; its values count on {', and on '.join(counts)}" if counts else ""
 
 

@@ -77,8 +77,8 @@ _UNCHECKED = (
     "{:.0f} s, as a simulation there is far slower; ce.profile(fit) looks there"
 )
 _UNLOOKED = (
-    "whether states that no output shows may exchange their parts, at another optimum, was not looked at to its end: "
-    "that takes more than {:.0f} s"
+    "other optima, at which parameters are exchanged, were not looked for to the end: that takes more than {:.0f} s; "
+    "starts=10 looks for them"
 )
 # Logarithm of the growth of a change of the start from which a straight step leads nowhere near where the motion goes.
 _BENT = float(np.log(1e3))

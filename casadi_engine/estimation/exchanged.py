@@ -49,6 +49,8 @@ _SEEN = 5.0
 _TURN = {"rad": 2 * np.pi, "deg": 360.0}
 # Units of frequencies, and in them one of a swing a second; share by which steps are equal.
 _RATE, _EQUAL = {"rad/s": 2 * np.pi, "Hz": 1.0}, 1e-6
+# Units of what may have none, or none that was stated.
+_OPEN = (NOT_STATED, "1")
 # Coordinates within which two ends are one; and the information on a first state, on its scale, that says so.
 _SAME, _TOLD = 1e-2, _ALIKE / 1e-4
 
@@ -415,6 +417,8 @@ def _swaps(units: Sequence[str], z: Array) -> Iterator[Swap]:
         one, other = read[i], read[j]
         if units[i] == units[j]:
             yield Swap(i, j)
+            if units[i] in _OPEN and z[i] > 0 and z[j] > 0:
+                yield Swap(i, j, inverse=True)
         elif one and other and one.dimension == other.dimension:
             yield Swap(i, j, float(other.factor / one.factor))
         elif not (z[i] > 0 and z[j] > 0):

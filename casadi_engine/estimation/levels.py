@@ -64,7 +64,7 @@ class NoiseLevels:
             level = np.nan if estimated else float(self.noise.level(name))
             if level < size / _BEYOND or level > size * _BEYOND:
                 raise EstimationError(
-                    f"the noise level of {name} is none of such samples",
+                    f"the noise level of {name} cannot be that of its samples",
                     seen=f"{level:g}, where the largest sample is {size:.3g}",
                     allowed=f"{size / _BEYOND:.1g} to {size * _BEYOND:.1g}",
                     cure=f"look at its unit, or leave {name} out of the noise to have its level estimated",

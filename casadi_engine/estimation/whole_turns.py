@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.lower_optimum import Place, merit
+from casadi_engine.experiment.units import read_unit
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ def but_for_turns(fit: Fit, again: Again) -> Fit:
     for name, step in equations.late_steps():
         fit = _best_of(fit, name, step, again)
     turning = [state.name for state in fit.model.states if equations.turn(state=state.name)]
-    angles = [name for name in fit.free if equations.turn(parameter=name)]
+    angles = [name for name in fit.free if equations.turn(parameter=name) and _may_turn(fit, name)]
     initial = {
         record: {name: _within(one) if name in turning else one for name, one in own.items()}
         for record, own in fit.initial.items()
@@ -57,8 +58,17 @@ def but_for_turns(fit: Fit, again: Again) -> Fit:
     free = [
         f"the first {name}" for name in turning if any(not own[name].fixed for own in fit.initial.values())
     ]
-    said = [f"{name} is told but for whole turns: 2 pi more do the same" for name in (*angles, *free)]
+    said = [
+        f"{name} is determined only up to whole turns: 2 pi more give the same data"
+        for name in (*angles, *free)
+    ]
     return replace(fit, initial=initial, messages=(*fit.messages, *said))
+
+
+def _may_turn(fit: Fit, name: str) -> bool:
+    """True where the bounds of a parameter leave room for a turn more or less."""
+    own, value = fit.parameters[name], fit.values[name]
+    return bool(own.min <= value - TURN or value + TURN <= own.max)
 
 
 def _within(one: Estimate) -> Estimate:
@@ -99,8 +109,9 @@ class _Equations:
         late = high > low and min(abs(low), abs(high)) >= _LATE * (high - low)
         if not (self.timed and late) or len(self.fit.data) > 1:
             return
+        units = dict.fromkeys((1.0, float(read_unit(self.model.time_unit).factor)))  # of rates, [s]
         for name in self.fit.free:
-            for step in (TURN / middle, 1.0 / middle):
+            for step in (turn * unit / middle for unit in units for turn in (TURN, 1.0)):
                 change = partial(self._changed, parameter=name, time=middle)
                 if name in self.model.parameter_names and not change(step) and change(_PART * step):
                     yield name, abs(step)
@@ -155,8 +166,9 @@ def _best_of(fit: Fit, name: str, step: float, again: Again) -> Fit:
     _, other = min(rivals)
     begin = fit.data[0].span[0]
     words = (
-        f"{name} is told but for steps of {step:.3g}: the equations count the time from {begin:.4g} s before the "
-        f"record begins, and {other:.9g} does as well as {best.values[name]:.9g}: let it count from there"
+        f"{name} is determined only up to steps of {step:.3g}: the equations count the time from an instant "
+        f"{abs(begin):.4g} s from the begin of the record, and {other:.9g} describes it as well as "
+        f"{best.values[name]:.9g}: count the time from its begin"
     )
     own = best.estimates[name]
     known = replace(own, stderr=None, interval=None, why=_OTHERS, quadratic=own.stderr or own.quadratic)

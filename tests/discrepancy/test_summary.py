@@ -252,4 +252,4 @@ def test_values_count_on_gains_that_no_data_tell(leaking):
     gain = NotFound("input_gain", "input_q", np.inf, "1", testable=False)
     drag = NotFound("quadratic_drag", "tank", 1e-5, "m3/s", testable=True)
     found = replace(leaking, verdict="nothing missing", effects=(), not_found=(drag, gain), stopped="")
-    assert next_step(found).endswith("its values count on the gain of q, which no data of this kind tell")
+    assert next_step(found).endswith("its values count on the gain of q, which these data cannot determine")

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 import casadi_engine as ce
+from casadi_engine.deadline import TimeUp
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import error_check
 from casadi_engine.estimation import record as records
@@ -484,3 +485,26 @@ def test_a_model_without_a_value_where_finer_steps_are_taken_has_no_error(monkey
     assert finer
     assert fit.stderr["p"] is None
     assert any("the model has no value" in text for text in fit.messages)
+
+
+def test_a_search_for_exchanges_that_takes_too_long_is_said(monkeypatch):
+    """Of six states it took 25 s beside a fit of 2 s."""
+
+    def long(*_):
+        raise TimeUp
+
+    monkeypatch.setattr(error_check, "exchanged", long)
+    b = ce.Blueprint("lag")
+    k, x = b.parameter("k", 1.0, min=0.1, max=10), b.state("x")
+    b.ode("x", -k * x)
+    b.output("y", x)
+    time = np.arange(50) * 0.05
+    y = np.exp(-1.3 * time) + 0.01 * np.random.default_rng(0).standard_normal(50)
+    fit = ce.estimate(
+        b.model(), ce.Experiment.from_arrays("r", time=time, units={"y": "1"}, y=y), progress=False
+    )
+    assert fit.stderr["k"]
+    said = "other optima, at which parameters are exchanged, were not looked for to the end: that takes more than"
+    assert any(
+        words.startswith(said) and words.endswith("starts=10 looks for them") for words in fit.messages
+    )

@@ -80,10 +80,24 @@ def test_other_units_are_not_exchanged():
     assert not any("exchanged" in text for text in fit.messages)
 
 
+def unstated():
+    """The same with a time constant and a rate of which neither states its unit."""
+    b = ce.Blueprint("flip")
+    lag, rate = b.parameter("k1", 2.0, min=0.1, max=40), b.parameter("k2", 0.12, min=0.006, max=2.4)
+    g = b.parameter("g", 1.0, min=1e-3, max=1e3)
+    gut, blood = b.state("gut"), b.state("blood")
+    b.ode("gut", -gut / lag)
+    b.ode("blood", gut / lag - rate * blood)
+    b.output("y", casadi.log10(g * blood + 1e-9))
+    return b.model()
+
+
 def flip(units, *, bends=False):
     """Absorption and elimination, as a time constant or a rate in these units, seen by the logarithm of an amount or,
     where they bend, by the amount: what is slow may be either."""
     b = ce.Blueprint("flip", time_unit="s")
+    if units == ("-", "-"):  # the first one is meant as a time constant
+        return unstated()
     sizes = [{"s": 2.0, "1/s": 0.5, "1/min": 30.0, "-": 0.5}[unit] for unit in units]
     symbols = [
         b.parameter(name, size, unit=unit, min=size / 20, max=20 * size)
@@ -107,6 +121,7 @@ def flip(units, *, bends=False):
         (("s", "1/s"), False, "k1 and 1/k2 exchanged"),
         (("1/s", "1/min"), True, "k1 and k2 exchanged"),
         (("1/s", "-"), True, "k1 and k2 exchanged"),
+        (("-", "-"), False, "k1 and 1/k2 exchanged"),
     ],
 )
 def test_a_time_constant_and_a_rate_are_exchanged_too(units, bends, said):

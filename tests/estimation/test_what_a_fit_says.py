@@ -111,7 +111,7 @@ def test_a_level_that_is_no_noise_of_the_samples_is_refused(model, level):
     """1e-300 blamed the start values, 1e300 ended in an OverflowError."""
     with pytest.raises(
         ce.errors.EstimationError,
-        match=rf"the noise level of omega is none .* seen: {re.escape(f'{level:g}')}, where",
+        match=rf"the noise level of omega cannot be that of its samples; seen: {re.escape(f'{level:g}')}, where",
     ):
         ce.estimate(model, run_up(), noise=ce.Noise(omega=level), progress=False)
 

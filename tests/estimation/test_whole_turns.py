@@ -45,7 +45,7 @@ def test_a_first_angle_is_within_half_a_turn(shown):
     fit = ce.estimate(swing(shown), seen(shown), warm=warm, progress=False)
     first = fit.initial["run"]["a"]
     assert first.value == pytest.approx(0.7, abs=4 * first.stderr)
-    said = "the first a is told but for whole turns: 2 pi more do the same"
+    said = "the first a is determined only up to whole turns: 2 pi more give the same data"
     assert (said in fit.messages) == (shown == "height")
     again = ce.simulate(fit, fit.data[0])["y"].values
     np.testing.assert_allclose(again, fit.traces["run"]["y"].simulated, atol=1e-6)
@@ -89,7 +89,8 @@ def test_where_its_likes_are_as_good_it_has_no_error():
     found = fit.estimates["f"]
     assert (found.stderr, found.why) == (None, "other optima (see note)")
     assert any(
-        words.startswith("f is told but for steps of 0.000314: the equations count") for words in fit.messages
+        words.startswith("f is determined only up to steps of 0.000314: the equations count")
+        for words in fit.messages
     )
     assert "±" not in next(line for line in str(fit).splitlines() if line.strip().startswith("f "))
 
@@ -97,6 +98,31 @@ def test_where_its_likes_are_as_good_it_has_no_error():
 def test_a_phase_is_told_but_for_whole_turns():
     model, data = waves(0.0)
     fit = ce.estimate(model, data, noise=ce.Noise(T=0.05), progress=False)
-    assert "phase is told but for whole turns: 2 pi more do the same" in fit.messages
-    assert not any(words.startswith("f is told") for words in fit.messages)
+    assert "phase is determined only up to whole turns: 2 pi more give the same data" in fit.messages
+    assert not any(words.startswith("f is determined only") for words in fit.messages)
     assert fit.stderr["phase"]
+
+
+def test_a_frequency_per_hour_is_one_of_steps_too():
+    """The time of the equations is in the unit of the model."""
+    b = ce.Blueprint("tide", time_unit="h")
+    k, w = b.parameter("k", 0.5, unit="1/h", min=0.01), b.parameter("w", 0.7 * 1.0085, unit="rad/h", min=0.01)
+    x = b.state("x", unit="m")
+    b.ode("x", 2 * ca.sin(w * b.time) - k * x)
+    b.output("x", x)
+    t = 1000.0 + np.arange(200) * 0.1
+    run = solve_ivp(
+        lambda s, y: 2.0 * np.sin(0.7 * s) - 0.5 * y, (t[0], t[-1]), [0.4], t_eval=t, rtol=1e-10, atol=1e-11
+    ).y[0]  # fmt: skip
+    y = run + 0.05 * np.random.default_rng(3).standard_normal(len(t))
+    data = ce.Experiment.from_arrays("late", time=t, units={"time": "h", "x": "m"}, x=y)
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(x=0.05), progress=False)
+    assert fit.values["w"] == pytest.approx(0.7, rel=1e-4)
+
+
+def test_bounds_that_leave_no_room_for_a_turn_say_which_one_is_meant():
+    model, data = waves(0.0)
+    pars = model.parameters()
+    pars["phase"].set(min=-math.pi, max=math.pi)
+    fit = ce.estimate(model, data, parameters=pars, noise=ce.Noise(T=0.05), progress=False)
+    assert not any("whole turns" in words for words in fit.messages)
