@@ -126,6 +126,12 @@ class ResultError(CasadiEngineError):
     """A stored result could not be read, or does not fit what was asked of it."""
 
 
+class UnknownNameError(CasadiEngineError, KeyError):
+    """A result has nothing of that name."""
+
+    __str__ = Exception.__str__  # that of a KeyError shows the text as a literal
+
+
 class OutputError(CasadiEngineError):
     """A result could not be written."""
 

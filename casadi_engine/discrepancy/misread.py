@@ -17,6 +17,7 @@ import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.deadline import left as seconds_left
+from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.ways_to_read import Reading, readings
 from casadi_engine.discrepancy.wording import HINT
 from casadi_engine.errors import CasadiEngineError
@@ -39,6 +40,8 @@ _HALF = 0.5
 _NOTHING = 100 * (1 - math.sqrt(0.9))
 # Part of the squares of an output that a gain and an offset of its own simulation leave where its sensor is at fault.
 _BENT = 0.2
+# Bands of frequencies in which a residual is looked at, and the numbers that one has at least.
+_BANDS, _BINS = 8, 12
 # Samples of the outputs on which all ways are looked at, and ways that the parameters are fitted in.
 _SAMPLES, _TRIED = 400, 6
 # Kinds of ports at which an effect is another way to read the data.
@@ -121,7 +124,10 @@ def with_other_reading(
         return repair
     before = followed(null)
     ports = [repair.model.ports[one.at].kind for one in repair.effects]
-    if repair.confirmed and (min(before.values(), default=100.0) >= FOLLOWED or {*ports} <= {*_READ}):
+    well = min(before.values(), default=100.0) >= FOLLOWED
+    if repair.confirmed and (well or {*ports} <= {*_READ}):
+        return repair
+    if well and not repair.confirmed and _mostly_noise(null):
         return repair
     answer = [(followed(repair.fit), _ALIKE)] if repair.effects else []
     answer += [] if repair.confirmed else [(before, _HALF)]
@@ -151,6 +157,26 @@ def unexplained(fit: Fit, *, every: bool = False) -> dict[str, float]:
     bound = any(fit.estimates[name].at_bound for name in fit.free if name in fit.estimates)
     limit = FOLLOWED if bound or every else _NOTHING
     return {name: share for name, share in followed(fit).items() if share <= limit}
+
+
+def _mostly_noise(fit: Fit) -> bool:
+    """True where half of what is left of an output is as strong at all frequencies: no reading takes that away."""
+    return any(
+        _floor(trace.residual[trace.mask]) >= _HALF
+        for traces in fit.traces.values()
+        for trace in traces.values()
+    )
+
+
+def _floor(residual: Array) -> float:
+    """The part of the squares of a residual that white noise has in the band in which there is least of it."""
+    size = len(residual) // (2 * _BANDS)
+    power = (
+        np.abs(np.fft.rfft(residual - residual.mean())[1 : 1 + _BANDS * size]) ** 2
+        if size >= _BINS
+        else np.zeros(0)
+    )
+    return float(power.reshape(_BANDS, size).mean(axis=1).min() / power.mean()) if power.any() else 0.0
 
 
 def _is_good(shares: Mapping[str, float]) -> bool:

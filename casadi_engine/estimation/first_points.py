@@ -154,7 +154,7 @@ class FirstPoints(LaidProblem):
                 "the model cannot be evaluated at the start values",
                 seen=", ".join(f"{n}={value:.6g}" for n, value in zip(self.pmap.free, z, strict=True)),
                 allowed="values for which the equations give finite numbers",
-                cure="change the start values or the bounds",
+                cure="change the start values or the bounds, or give first states: initial={...}",
             )
         check_growth(self.records, self.problem.at(x).records)
         check_slopes(self.records, self.problem.at(x))

@@ -14,6 +14,7 @@ from casadi_engine.estimation.parameter_errors import ParameterErrors
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
+from casadi_engine.parameters.by_name import ByName
 from casadi_engine.simulation.error_estimate import ErrorEstimate
 
 Array = NDArray[np.float64]
@@ -180,6 +181,9 @@ class Fit:
     followed: float | None = None
     lower: Any = field(default=None, repr=False)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "estimates", ByName(self.estimates))
+
     def __str__(self) -> str:
         from casadi_engine.estimation.summary import summary
 
@@ -200,7 +204,7 @@ class Fit:
     @property
     def values(self) -> dict[str, float]:
         """Name -> value of every parameter."""
-        return {name: estimate.value for name, estimate in self.estimates.items()}
+        return ByName({name: estimate.value for name, estimate in self.estimates.items()})
 
     def values_for(self, record: str) -> dict[str, float]:
         """Name -> value of every parameter in a record of this name.
@@ -220,7 +224,7 @@ class Fit:
     @property
     def stderr(self) -> dict[str, float | None]:
         """Name -> standard error; None where there is none (``estimates[name].why`` says why)."""
-        return {name: estimate.stderr for name, estimate in self.estimates.items()}
+        return ByName({name: estimate.stderr for name, estimate in self.estimates.items()})
 
     @property
     def doubted(self) -> tuple[str, ...]:

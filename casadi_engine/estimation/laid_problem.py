@@ -51,7 +51,7 @@ class LaidProblem:
     ) -> None:
         noise = check_noise(noise, model)
         self.model, self.data, self.noise, self.loss = model, data, noise, loss
-        self.warm = _checked_warm(warm)
+        self.warm = _checked_warm(warm, parameters)
         names = tuple(record.name for record in data)
         self._grids = {record.name: lay_grid(model, record) for record in data}
         self.predictor = Predictor(noise, model, list(self._grids.values()), parameters)
@@ -207,9 +207,18 @@ class LaidProblem:
         return bool(after < before or (np.isfinite(after) and not np.isfinite(before)))
 
 
-def _checked_warm(warm: Any) -> Any:
-    if warm is None or isinstance(getattr(warm, "values", None), Mapping):
-        return warm
+def _checked_warm(warm: Any, parameters: Parameters) -> Any:
+    if warm is None:
+        return None
+    if isinstance(values := getattr(warm, "values", None), Mapping):
+        if not parameters.names or not {name.split("@")[0] for name in values}.isdisjoint(parameters.names):
+            return warm
+        raise EstimationError(
+            "warm is the result of another model: it has none of the parameters",
+            seen=", ".join(map(str, values)) or "no parameter",
+            allowed=", ".join(parameters.names),
+            cure="give a fit of this model, or of one that shares parameters with it, or leave warm out",
+        )
     raise EstimationError(
         "warm is not a result to start from",
         seen=repr(warm),

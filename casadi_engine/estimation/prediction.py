@@ -102,8 +102,17 @@ class Prediction:
         return "\n".join([*lines, "Next: ce.plot(prediction)"])
 
 
-def check_band(model: Any, parameters: Any) -> Fit:
-    """The fit whose errors a band is made of: of a Fit, or of an object with ``fit`` and ``draws``."""
+def check_band(model: Any, parameters: Any, band: Any = True) -> Fit | None:
+    """The fit whose errors a band is made of: of a Fit, or of an object with ``fit`` and ``draws``; None for False."""
+    if not isinstance(band, bool | np.bool_):
+        raise SimulationError(
+            "band is neither True nor False",
+            seen=repr(band),
+            allowed="True or False",
+            cure="give band=True: the bands hold 95 %; those of a posterior's predictive take another level",
+        )
+    if not band:
+        return None
     fit = getattr(model, "fit", model)
     if not isinstance(fit, Fit):
         raise SimulationError(

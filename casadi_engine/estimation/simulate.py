@@ -105,7 +105,7 @@ def simulate(
     >>> run["omega"].values.round(3)
     array([100.   ,  60.653,  36.788])
     """
-    source, fit, asked = model, check_band(model, parameters) if band else model, parameters
+    source, fit, asked = model, check_band(model, parameters, band) or model, parameters
     if isinstance(fit, Fit):
         model, parameters, initial = _of_fit(fit, data, parameters, initial)
     _check_kinds(model, data, parameters, initial)

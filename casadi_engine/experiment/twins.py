@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 # Share of the shorter record's samples that both hold from which they are one measurement; of those, that are equal to
 # the last digit. Values that occur once in each record, at least, which tell by how much its time was shifted.
 _COMMON, _EQUAL, _FEWEST = 0.5, 0.95, 8
+# Decimals of a file that was written with fewer of them than its source, at most.
+_DECIMALS = 12
 # Share of a step within which two times are the same one.
 _TIME = 1e-3
 
@@ -50,8 +52,33 @@ def _same(one: Experiment, other: Experiment, outputs: Sequence[str]) -> bool:
         for a, b in pairs
     ):
         return True
+    if all(_is_rounded(a, b) for a, b in pairs):
+        return True
     shift = next((found for a, b in pairs if (found := _shift(a, b)) is not None), None)
     return shift is not None and all(_overlap(a, b, shift) for a, b in pairs)
+
+
+def _is_rounded(one: Channel, other: Channel) -> bool:
+    """True if one channel holds what the other one does with fewer decimals."""
+    if len(one.time) != len(other.time) or not np.allclose(
+        one.time, other.time, rtol=0, atol=_within(one, other)
+    ):
+        return False
+    both = one.mask & other.mask
+    pairs = (one.values[both], other.values[both])
+    return any(
+        np.mean(np.abs(np.round(fine, digits) - coarse) <= _TIME * 10.0**-digits) >= _EQUAL
+        for coarse, fine in (pairs, pairs[::-1])
+        if len(coarse) >= _FEWEST and (digits := _decimals(coarse)) is not None
+    )
+
+
+def _decimals(values: Array) -> int | None:
+    """The decimals that all of these values are written with; None for more than a table would have."""
+    size = np.abs(values).max(initial=0.0)
+    return next(
+        (k for k in range(_DECIMALS) if np.all(np.abs(np.round(values, k) - values) <= 1e-12 * size)), None
+    )
 
 
 def _moves(channel: Channel) -> bool:

@@ -31,6 +31,13 @@ def write_file(path: Any, content: bytes) -> Path:
             allowed="a file, new or old",
             cure=f"give a file in it, such as {os.path.join(text, 'report.html')}",
         )
+    if not os.path.basename(text):
+        raise OutputError(
+            "the path of a file to write has no name",
+            seen=repr(text),
+            allowed="a folder, if any, and a name",
+            cure='give a path such as "results/report.html"',
+        )
     folder = os.path.dirname(text)
     if folder:
         try:

@@ -134,7 +134,12 @@ def cross_correlation(
 def check_lags(lags: int) -> None:
     """Raise ExperimentError unless ``lags`` is a whole number of at least 1."""
     if isinstance(lags, bool) or not isinstance(lags, int | np.integer) or lags < 1:
-        raise ExperimentError("the number of lags does not fit", seen=lags, allowed="a whole number >= 1")
+        raise ExperimentError(
+            "the number of lags does not fit",
+            seen=lags,
+            allowed="a whole number >= 1",
+            cure="leave it out for as many as the record's length asks for",
+        )
 
 
 def centred(residual: FloatArray, mask: ArrayLike | None) -> tuple[FloatArray, BoolArray]:

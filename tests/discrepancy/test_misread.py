@@ -433,3 +433,15 @@ def test_a_limited_time_is_kept_for_what_looked_well(monkeypatch):
     job = module._Readings(cart(both=False), (record,), cart(both=False).parameters(), None, {}, len(ways))
     assert job.good(ways, 1.0, lambda shares: True) == []
     assert looked == [0.5] * 5  # an eighth of half of the time each, and no more after that half
+
+
+def test_what_is_noise_already_is_no_sign_of_another_reading():
+    """The ways were looked at for a tenth of a repair's time where no reading could have halved what is left."""
+    noise = np.random.default_rng(1).standard_normal(4000)
+    assert module._floor(noise) > 0.8
+    assert module._floor(noise + 3 * np.sin(0.05 * np.arange(4000))) < 0.25
+    assert module._floor(np.cumsum(noise)) < 0.02
+    assert module._floor(noise[:100]) == 0.0  # too few to tell
+    fit = ce.estimate(oven(), heated(), starts=1, progress=False)
+    assert module._mostly_noise(fit)
+    assert not module._mostly_noise(ce.estimate(oven(), heated(law=0.02), starts=1, progress=False))

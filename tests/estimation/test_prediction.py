@@ -183,6 +183,11 @@ def test_a_band_asks_for_a_fit_with_errors(refused):
         SimulationError, "about the parameters of the fit", seen="parameters=", cure="leave them out"
     ):
         ce.simulate(fit, data, parameters={"J_eng": 0.4}, band=True)
+    for band in ("95", 2, None):
+        with refused(
+            SimulationError, "band is neither True nor False", seen=repr(band), cure="give band=True"
+        ):
+            ce.simulate(fit, data, band=band)
     lost = fit_of(data, max_iterations=1)
     with refused(SimulationError, "the fit has no errors", seen="not converged", cure="print(fit)"):
         ce.simulate(lost, data, band=True)

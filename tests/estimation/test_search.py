@@ -200,6 +200,30 @@ def test_something_else_than_a_result_is_refused_as_a_warm_start(run_up, refused
         ce.estimate(ce.one_inertia(), run_up(), warm=0.4, progress=False)
 
 
+def test_a_result_of_another_model_is_refused_as_a_warm_start(run_up, refused):
+    class Stored:
+        def __init__(self):
+            self.values = {"mass": 1.0, "k@run": 2.0}
+
+    with refused(
+        ce.errors.EstimationError,
+        "warm is the result of another model: it has none of the parameters",
+        seen="mass, k@run",
+        allowed="J_eng, C_eng",
+        cure="give a fit of this model, or of one that shares parameters with it, or leave warm out",
+    ):
+        ce.estimate(ce.one_inertia(), run_up(), warm=Stored(), progress=False)
+
+
+def test_an_unknown_name_of_a_fit_is_a_named_error(run_up, refused):
+    fit = ce.estimate(ce.one_inertia(), run_up(), progress=False)
+    for found in (fit.estimates, fit.values, fit.stderr):
+        with refused(ce.errors.UnknownNameError, "nothing of this name", seen="'J'", allowed="J_eng, C_eng"):
+            found["J"]
+        assert found.get("J") is None
+    assert issubclass(ce.errors.UnknownNameError, KeyError)
+
+
 # ---- progress
 
 
@@ -371,7 +395,7 @@ def test_a_model_that_is_not_finite_at_the_start_is_refused(run_up, refused):
         "the model cannot be evaluated at the start values",
         seen="a=0.5",
         allowed="values for which the equations give finite numbers",
-        cure="change the start values or the bounds",
+        cure="change the start values or the bounds, or give first states: initial={...}",
     ):
         ce.estimate(b.model(), plain, progress=False)
 

@@ -54,6 +54,17 @@ def test_a_measurement_that_was_shifted_cut_or_thinned():
         assert twin_of(first, [other], ["y"]) is other, name
 
 
+def test_a_copy_with_fewer_decimals():
+    rng = np.random.default_rng(3)
+    t = 0.01 * np.arange(600)
+    y = np.sin(3 * t) + 0.05 * rng.standard_normal(600)
+    fine, coarse = measured("fine", t, y), measured("coarse", t, np.round(y, 3))
+    assert twin_of(coarse, [fine], ["y"]) is fine
+    assert twin_of(fine, [coarse], ["y"]) is coarse
+    again = measured("again", t, np.round(np.sin(3 * t) + 0.05 * rng.standard_normal(600), 3))
+    assert twin_of(again, [fine, coarse], ["y"]) is None
+
+
 def test_what_is_no_twin():
     rng = np.random.default_rng(2)
     t = 0.01 * np.arange(600)

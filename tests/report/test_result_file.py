@@ -233,4 +233,6 @@ def test_places_that_cannot_be_written(tmp_path, fit):
     assert error.value.allowed == "a file, new or old"
     with pytest.raises(OutputError, match="not the path of a file to write; seen: int") as error:
         write_result(3, result_of(fit))
+    with pytest.raises(OutputError, match="the path of a file to write has no name; seen: ''"):
+        write_result("", result_of(fit))
     assert error.value.allowed == "text or a pathlib.Path"

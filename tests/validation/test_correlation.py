@@ -151,11 +151,13 @@ def test_what_has_no_correlation_says_why(result, why):
         ),
         (
             {"residual": np.ones(3), "drive": np.ones(3), "lags": 0},
-            "the number of lags does not fit; seen: 0; allowed: a whole number >= 1",
+            "the number of lags does not fit; seen: 0; allowed: a whole number >= 1; "
+            "do: leave it out for as many as the record's length asks for",
         ),
         (
             {"residual": np.ones(3), "drive": np.ones(3), "lags": 2.5},
-            "the number of lags does not fit; seen: 2.5; allowed: a whole number >= 1",
+            "the number of lags does not fit; seen: 2.5; allowed: a whole number >= 1; "
+            "do: leave it out for as many as the record's length asks for",
         ),
     ],
 )

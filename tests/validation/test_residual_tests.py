@@ -497,7 +497,11 @@ def test_lags_without_any_pair():
             "the mask does not fit the residual; seen: mask (199,), the residual (200,); "
             "allowed: one flag per sample",
         ),
-        ({"lags": True}, "the number of lags does not fit; seen: True; allowed: a whole number >= 1"),
+        (
+            {"lags": True},
+            "the number of lags does not fit; seen: True; allowed: a whole number >= 1; "
+            "do: leave it out for as many as the record's length asks for",
+        ),
     ],
 )
 def test_unusable_input_is_named(arguments, message):
