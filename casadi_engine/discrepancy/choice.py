@@ -259,10 +259,10 @@ class Choice:
         now = self.pool[self.best]
         if not now.effects or len(now.effects) >= self.most or late():
             return
-        screened = self.stations[frozenset()].screened
+        screened, beside = (self.stations[key].screened for key in (frozenset(), self.best))
         families = families_of(screened)
         made = self._timed("exchange", lambda: tried_in_two(
-            self.refits, now, screened, families, partial(chosen_of, screened), self.tell
+            self.refits, now, screened, families, partial(chosen_of, screened), self.tell, beside
         ))  # fmt: skip
         self.refits.weigh()
         ready = [one for one in made if one.beyond > BEYOND and one.log - self.price > now.log]

@@ -8,13 +8,14 @@ may be as probable as the one that was chosen, after the further effect is paid 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
 from casadi_engine.deadline import ask
 from casadi_engine.discrepancy.events import by_one_step
 from casadi_engine.discrepancy.families import BEYOND
+from casadi_engine.discrepancy.linear_algebra import basis, without
 from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import FACTOR, PART, Refits
@@ -24,6 +25,8 @@ from casadi_engine.discrepancy.tried import Tried
 
 # Rivals that are tried with one more effect, and effects that each is tried with, the best by one step.
 _RIVALS, _SECONDS = 3, 2
+# Part of a column that is left beside the parameters, or beside another column, below which it is that of rounding.
+_SEEN = 1e-6
 
 Families = Mapping[tuple[str, str], Sequence[int]]
 
@@ -40,12 +43,15 @@ def tried_in_two(
     families: Families,
     chosen: Callable[[OneStep, Sequence[int]], Addition],
     tell: Callable[[str], None],
+    beside: Screened | None = None,
 ) -> list[Tried]:
     """Structures with two effects in the place of one of ``now``, refitted; the pool holds them.
 
-    chosen : the addition of a family that one step asks for
+    chosen : the addition of a family that one step asks for; beside : the scores along ``now``, if they are known
     """
     made: list[Tried] = []
+    price = price_of(families)
+    least = 2 * max(refits.levels.memory.values(), default=1.0) * price
     for member in now.effects:
         rest = now.key - {member.candidate.key}
         alike = [
@@ -54,10 +60,41 @@ def tried_in_two(
         ]  # fmt: skip
         for one in sorted(alike, key=lambda t: -t.log)[:_RIVALS]:
             others = {key: own for key, own in families.items() if key not in one.key | now.key}
-            missing = now.log - math.log(FACTOR) + price_of(families) - one.log
+            lifting = None if beside is None else lifted_by(beside, one.key - rest, least)
+            if lifting is not None:
+                others = {key: own for key, own in others.items() if key in lifting}
+            if not others:
+                continue
+            missing = now.log - math.log(FACTOR) + price - one.log
             place = f" in place of {member.label}"
             made += with_one_more(refits, one, screened, others, chosen, lambda s: tell(s + place), missing)  # noqa: B023
     return made
+
+
+def lifted_by(
+    beside: Screened, rival: Collection[tuple[str, str]], least: float
+) -> set[tuple[str, str]] | None:
+    """The effects that take more than ``least`` from chi-squared together with a rival, along the model with what was
+    chosen; None where the rival has no column there.
+
+    Where both explain the data, the two models take one course, and what one law does in the place of another is the
+    sum of their columns along it: what does not help there as a third does not help as the second of two.
+    """
+    own = [k for k, one in enumerate(beside.candidates) if one.key in rival]
+    if not own:
+        return None
+    reduced = beside.compressed.reduced()
+    left = without(basis(reduced.rows[:, : reduced.parameters]), reduced.rows[:, reduced.parameters :])
+    columns, residual = left[:, :-1], left[:, -1]
+    size = np.linalg.norm(columns, axis=0)
+    seen = size > _SEEN * np.maximum(reduced.size, np.finfo(float).tiny)
+    columns = np.where(seen, columns / np.where(seen, size, 1.0), 0.0)
+    alone, between = columns.T @ residual, columns[:, own].T @ columns
+    rest = 1 - between**2
+    joint = alone[own, None] ** 2 + alone**2 - 2 * between * alone[own, None] * alone
+    with np.errstate(divide="ignore", invalid="ignore"):
+        drop = np.where(rest > _SEEN, joint / rest, np.maximum(alone[own, None] ** 2, alone**2)).max(axis=0)
+    return {one.key for one, gain in zip(beside.candidates, drop, strict=True) if not gain <= least}
 
 
 def with_one_more(
@@ -77,8 +114,8 @@ def with_one_more(
     memory = max(refits.levels.memory.values(), default=1.0)
     made: list[Tried] = []
     ask()
-    null = refits.null(one)
-    step = None if null is None else one_step(null, screened.candidates, refits.path.levels)
+    null, members = refits.null(one), sorted({k for own in others.values() for k in own})
+    step = None if null is None else one_step(null, screened.candidates, refits.path.levels, members)
     if step is None:
         return made
     cost = {key: by_one_step(screened.candidates, step, list(own)).cost for key, own in others.items()}

@@ -118,16 +118,18 @@ class SensorLag(Effect):
     """A sensor of which a share follows with a time constant τ [s], as behind a filter or in a well: with all of it
     (share 1) y − τ d(shown)/dt.
 
-    What it is behind by, e, goes by de/dt = −dy/dt − e/τ; it shows y + share e. A delay as long does nearly the same to
-    motion that is slow beside it.
+    What it is behind by, e, goes by de/dt = −dy/dt − e/τ; it shows y + share e. Of an input that the output shows at
+    once no rate is asked for: it may jump. A delay as long does nearly the same to motion that is slow beside it.
 
     span : the least and the largest time constant [s]; None for half a sample to a quarter of the records
+    first : input that the output shows at once -> its value where the sensor is at rest, its scale where none is given
 
     >>> SensorLag().describe("sensor_T_out")
     'a lag of sensor_T_out'
     """
 
     span: tuple[float, float] | None = None
+    first: tuple[tuple[str, float], ...] = ()
 
     name = "sensor_lag"
     attaches = ("sensor",)
@@ -141,19 +143,23 @@ class SensorLag(Effect):
         return time_grid(self.span)
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
-        """The same with the time constants that a record can show, where none were given."""
+        """The same at rest where a record begins, with the time constants that it can show where none were given."""
         del values
         name = port.name.partition("_")[2]
-        if self.span is not None or name not in record:
+        if name not in record:
             return self
-        span = time_constants(record[name].time)
-        return self if span is None else replace(self, span=span)
+        shown = {one: record[one] for one in port.shown_at_once if one in record}
+        known = {one: own.values[own.mask] for one, own in shown.items()}
+        first = self.first or tuple((one, float(own[0])) for one, own in known.items() if len(own))
+        return replace(self, first=first, span=self.span or time_constants(record[name].time))
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
-        """share e."""
+        """share e, of which the state is what the inputs that are shown at once do not move."""
         del math
-        behind = port.state("behind")
-        return Law(p.share * behind, {"behind": (0.0, -port.rate - behind / p.time)})
+        behind, at_once = port.state("behind"), port.shown_at_once
+        still, rate = port.held_at(at_once | dict(self.first))
+        e = behind + still - port.value if at_once else behind
+        return Law(p.share * e, {"behind": (0.0, -rate - e / p.time)})
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import EffectError
 from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.model.declarations import ParameterDeclaration, Port
+from casadi_engine.model.rates import held_at, shown_at_once
 from casadi_engine.parameters import near_matches
 
 # Dimensions of what drives a flow: a level, a pressure.
@@ -131,6 +132,22 @@ class PortView:
         symbols = ca.symvar(expression)
         function = ca.Function("number", [ca.vertcat(*symbols)], [expression])
         return float(function([values[symbol.name()] for symbol in symbols]))
+
+    @property
+    def shown_at_once(self) -> dict[str, float]:
+        """Name -> scale of the channels that the output of a sensor shows without a state between."""
+        scales = {variable.name: variable.scale for variable in self._model.inputs}
+        return {name: scales[name] for name in shown_at_once(self._model, self._row)}
+
+    def held_at(self, first: Mapping[str, float]) -> tuple[Any, Any]:
+        """What a sensor would show if the channels that it shows at once stayed at these numbers, and its rate."""
+        found = held_at(self._model, self._row, first)
+        return (self.value, self._absent("rate")) if found is None else found
+
+    @property
+    def _row(self) -> int:
+        sensors = [port.name for port in self._model.ports if port.kind == "sensor"]
+        return sensors.index(self.name)
 
     @property
     def has_courses(self) -> bool:

@@ -7,6 +7,7 @@ further entry of u behind the channels, and who samples the channels supplies it
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -26,15 +27,11 @@ def with_rates(model: Model, *, of_rates: bool = False) -> Model:
     rate shows a channel has no bend, unless ``of_rates`` asks for it: the channel's rate is noise where it is measured,
     and does no harm over a part of a sample only. Torques at ports change no bend: nobody knows their rates.
     """
-    shown = model.output_expressions
-    if model.d.numel() and ca.depends_on(shown, model.d):
-        shown = ca.substitute(shown, model.d, model.drive_expressions)
+    shown = _drives_put_in(model, model.output_expressions)
     smooth = [_has_rate(model, shown[row]) for row in range(shown.numel())]
     model = _with_symbols(model, [shown[row] for row, good in enumerate(smooth) if good])
     rates = _total_rates(model, model.output_expressions)
-    whole = rates
-    if model.d.numel() and ca.depends_on(rates, model.d):
-        whole = ca.substitute(rates, model.d, model.drive_expressions)
+    whole = _drives_put_in(model, rates)
     if of_rates:  # a drive that is made of channels joined by lines goes along a line too; where no
         # channel is shown at once it is held, which keeps the linear core
         lines = ca.is_linear(ca.vertcat(ca.SX(0, 1), model.drive_expressions), model.channels)
@@ -54,6 +51,36 @@ def with_rates(model: Model, *, of_rates: bool = False) -> Model:
             row += 1
         fresh.append(port)
     return replace(model, ports=Ports(fresh))
+
+
+def shown_at_once(model: Model, row: int) -> tuple[str, ...]:
+    """The channels that an output shows without a state between."""
+    shown = _drives_put_in(model, model.output_expressions[row])
+    return tuple(
+        variable.name for k, variable in enumerate(model.inputs) if ca.depends_on(shown, model.channels[k])
+    )
+
+
+def held_at(model: Model, row: int, first: Mapping[str, float]) -> tuple[Any, Any] | None:
+    """An output with the channels that it shows at once held at these numbers, and its rate; None where it has none.
+
+    What stays between it and the output follows the channels without their rates, which are infinite where they jump.
+    """
+    names = shown_at_once(model, row)
+    known = [variable.name for variable in model.inputs]
+    channels = ca.vertcat(ca.SX(0, 1), *[model.channels[known.index(name)] for name in names])
+    shown = _drives_put_in(model, model.output_expressions[row])
+    still = ca.substitute(shown, channels, ca.SX([first[name] for name in names])) if names else shown
+    if not _has_rate(model, still):
+        return None
+    rate = ca.jtimes(still, model.x, model.ode) + ca.jacobian(still, model.t)
+    return (still if names else model.output_expressions[row]), rate
+
+
+def _drives_put_in(model: Model, shown: Any) -> Any:
+    if model.d.numel() and ca.depends_on(shown, model.d):
+        return ca.substitute(shown, model.d, model.drive_expressions)
+    return shown
 
 
 def _has_bend(model: Model, rate: Any, unknown: Any) -> bool:

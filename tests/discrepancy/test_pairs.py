@@ -30,7 +30,9 @@ def asked(monkeypatch, *, logs, drops):
     )  # fmt: skip
     none = np.zeros(len(FAMILIES))
     monkeypatch.setattr(
-        pairs, "one_step", lambda null, candidates, levels: OneStep(-np.array(drops), none, none, 0.0)
+        pairs,
+        "one_step",
+        lambda null, candidates, levels, members: OneStep(-np.array(drops), none, none, 0.0),
     )
     monkeypatch.setattr(
         pairs, "by_one_step", lambda candidates, step, own: SimpleNamespace(cost=step.cost[own[0]])

@@ -3,11 +3,13 @@
 import re
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.errors import EffectError
 
 STEP, COUNT = 0.5, 900
 
@@ -153,6 +155,80 @@ def test_a_record_too_short_for_a_lag_keeps_the_usual_range():
     t = np.arange(3) * 2.0
     short = ce.Experiment.from_arrays("short", time=t, units={"y": "1"}, y=t)
     effect = ce.effects.SensorLag()
-    assert effect.fitted(SimpleNamespace(name="sensor_y"), short, {}) is effect
+    assert effect.fitted(SimpleNamespace(name="sensor_y", shown_at_once={}), short, {}) == effect
     long = ce.Experiment.from_arrays("long", time=np.arange(100) * 2.0, units={"y": "1"}, y=np.arange(100.0))
-    assert effect.fitted(SimpleNamespace(name="sensor_y"), long, {}).span == (1.0, 50.0)
+    assert effect.fitted(SimpleNamespace(name="sensor_y", shown_at_once={}), long, {}).span == (1.0, 50.0)
+
+
+def shunted():
+    """A coil behind a resistor: the voltage across both shows the current's state and the input at once, as a share."""
+    b = ce.Blueprint("shunted")
+    u, share = b.input("u", unit="V"), b.input("share", unit="1")
+    i = b.state("i", unit="A")
+    R = b.parameter("R", 2.5, unit="Ohm", min=0.1)
+    b.ode("i", (u - R * i + b.port("coil", "inertia", {"speed": i}, unit="V")) / 4.0)
+    b.output("shown", share * u + 0.5 * i, unit="V")
+    b.output("i", i, unit="A")
+    return b.model()
+
+
+def held(name, seed, behind, step=0.25, count=600):
+    """Both inputs jump; the voltmeter is behind."""
+    rng, t = np.random.default_rng(seed), step * np.arange(count)
+    u, share = (np.repeat(rng.uniform(low, high, count // 40), 40) for low, high in ((0, 5), (0.2, 1)))
+
+    def rates(k):
+        def of(s, y):
+            return [(u[k] - 2.0 * y[0]) / 4.0, (share[k] * u[k] + 0.5 * y[0] - y[1]) / behind]
+
+        return of
+
+    x = [np.array([u[0] / 2.0, share[0] * u[0] + u[0] / 4])]
+    for k in range(count - 1):
+        x.append(solve_ivp(rates(k), (0, step), x[-1], rtol=1e-10, atol=1e-12).y[:, -1])
+    x = np.array(x)
+    return ce.Experiment.from_arrays(
+        name, time=t, units={"u": "V", "share": "1", "shown": "V", "i": "A"},
+        hold={"u": "zero", "share": "zero", "shown": "first", "i": "first"},
+        u=u, share=share, shown=x[:, 1] + 0.02 * rng.standard_normal(count),
+        i=x[:, 0] + 0.02 * rng.standard_normal(count),
+    )  # fmt: skip
+
+
+def test_a_slow_sensor_that_shows_an_input_which_jumps_is_named():
+    """Its rate is infinite at the jumps: the lag moved nothing there, and the inputs were blamed instead."""
+    answer = ce.repair(
+        shunted(), held("found on", 1, 3.0), fresh=held("fresh", 2, 3.0), starts=1, progress=False,
+        effects=["sensor_lag", "sensor_delay", "sensor_gain", "input_lag", "input_delay", "hidden_storage"],
+    )  # fmt: skip
+    assert ([one.key for one in answer.effects], answer.confirmed) == (["sensor_shown.sensor_lag"], True)
+    (lag,) = answer.effects
+    assert lag.amplitude.value == 1.0
+    time = lag.parameters["sensor_shown.sensor_lag.time"]
+    assert abs(time.value - 3.0) < 4 * time.stderr < 0.05
+
+
+def test_a_lag_of_what_shows_inputs_at_once_is_exact():
+    """Against a filter of the same course, whatever the value is that its equations are written about."""
+    record = held("one", 3, 3.0)
+    for first in ((), (("u", 2.0), ("share", 0.3))):
+        model = shunted().with_effect(
+            ce.effects.SensorLag(first=first), at="sensor_shown", values={"share": 1.0}
+        )
+        u, share = (record[name].values[0] for name in ("u", "share"))
+        known = dict(first) or {"u": 1.0, "share": 1.0}  # the scales, where none are given
+        begun = share * u - known["share"] * known["u"]  # at rest the sensor shows what is there
+        run = ce.simulate(
+            model, record, parameters={"R": 2.0, "sensor_shown.sensor_lag.time": 3.0}, tolerance=1e-9,
+            initial={"i": u / 2.0, "sensor_shown_sensor_lag_behind": begun},
+        )  # fmt: skip
+        assert np.std(run["shown"].values - record["shown"].values) == pytest.approx(0.02, rel=0.1)
+
+
+def test_a_sensor_that_jumps_with_a_state_has_no_lag():
+    b = ce.Blueprint("switch")
+    x = b.state("x")
+    b.ode("x", -x)
+    b.output("y", ca.sign(x))
+    with pytest.raises(EffectError, match="cannot act at the port sensor_y, which has no signal rate"):
+        b.model().with_effect(ce.effects.SensorLag(), at="sensor_y")
