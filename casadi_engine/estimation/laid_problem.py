@@ -211,7 +211,7 @@ def _checked_warm(warm: Any, parameters: Parameters) -> Any:
     if warm is None:
         return None
     if isinstance(values := getattr(warm, "values", None), Mapping):
-        if not parameters.names or not {name.split("@")[0] for name in values}.isdisjoint(parameters.names):
+        if not values or not {name.split("@")[0] for name in values}.isdisjoint(parameters.names):
             return warm
         raise EstimationError(
             "warm is the result of another model: it has none of the parameters",

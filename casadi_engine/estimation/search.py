@@ -18,7 +18,7 @@ from casadi_engine.estimation.growth import length_for
 from casadi_engine.estimation.integration import alike, shorten_steps
 from casadi_engine.estimation.ipopt import ONE_STEP, OUT_OF_ITERATIONS, WALL, Solution, Solver
 from casadi_engine.estimation.scales import felt_scale, state_factors
-from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, in_full
+from casadi_engine.estimation.spectral_start import HELD, Begun, SpectralStarts, in_full
 from casadi_engine.estimation.states_first import states_first
 from casadi_engine.estimation.unreachable import unreachable
 from casadi_engine.simulation.propagator import fineness_of
@@ -137,10 +137,10 @@ class Search(FirstPoints):
             begun = self.spectral.search(z, steps=self.solver.most, beside=beside)
             if begun is not None and begun.stopped:
                 return self._stopped(begun, given)
-            if begun is not None:
+            if begun is not None and not self.constraints.violated(begun.v):
                 found = self._unfinished(begun, given)
                 return found if begun.converged else self.finished(found)
-            why = _NOWHERE
+            why = _NOWHERE if begun is None else HELD
         return self._in_full(z, given, why, first=first, near=near)
 
     def _in_full(self, z: Array, given: Array, why: str, *, first: bool, near: bool = False) -> Attempt:

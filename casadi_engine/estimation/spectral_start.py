@@ -50,10 +50,15 @@ class Begun:
         return self.found.minimum.x
 
 
+# Why a search is on all samples where an optimum in the frequency domain is beyond a constraint.
+HELD = "constraints hold the parameters"
+
+
 def in_full(search: LaidProblem) -> str | None:
     """Why a search has to be on all samples from its start; None if it can begin in the frequency domain."""
-    if search.problem.nv and search.problem.user.count:
-        return "constraints hold the parameters"
+    user = search.problem.user
+    if search.problem.nv and user.count and (user.lower == user.upper).any():
+        return HELD
     return no_spectrum(search)
 
 

@@ -284,7 +284,7 @@ def _user_constraints(layout: _Layout, expanded: Mapping[str, Any]) -> list[Comp
 def _bounds_and_priors(
     layout: _Layout, reported: Mapping[str, Any]
 ) -> tuple[list[CompiledConstraint], tuple[CompiledPrior, ...]]:
-    """The bounds of tied parameters that are not entries of z, and all priors."""
+    """The bounds of tied parameters that are not entries of z, where those of z do not imply them, and all priors."""
     bounds: list[CompiledConstraint] = []
     priors: list[CompiledPrior] = []
     for name, parameter in layout.parameters.items():
@@ -296,11 +296,27 @@ def _bounds_and_priors(
             expression = reported[entry]
             if bounded and entry not in layout.entries:
                 one = CompiledConstraint(f"{entry} (tied)", expression, parameter.min, parameter.max)
-                if not _settled(one, f"change what {name} is tied to, or its bounds"):
+                if not _settled(one, f"change what {name} is tied to, or its bounds") and not _implied(
+                    one, layout
+                ):
                     bounds.append(one)
             if parameter.prior is not None and not expression.is_constant():
                 priors.append(CompiledPrior(entry, expression, *parameter.prior))
     return bounds, tuple(priors)
+
+
+def _implied(one: CompiledConstraint, layout: _Layout) -> bool:
+    """True if an affine constraint is met wherever the entries of z are within their bounds."""
+    slope = ca.densify(ca.jacobian(one.expression, layout.z))
+    if not slope.is_constant():
+        return False
+    _, low, high, _ = layout.numbers()
+    factor = np.array(ca.DM(slope)).ravel()
+    used = factor != 0
+    first = float(ca.DM(ca.substitute(one.expression, layout.z, ca.SX.zeros(layout.z.numel()))))
+    ends = np.sort(factor[used] * np.array([low[used], high[used]]), axis=0).sum(axis=1) + first
+    slack = 1e-9 * np.where(np.isfinite(ends), np.abs(ends), 0.0)
+    return bool(ends[0] >= one.min - slack[0] and ends[1] <= one.max + slack[1])
 
 
 def _settled(constraint: CompiledConstraint, cure: str) -> bool:

