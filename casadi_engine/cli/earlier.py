@@ -55,7 +55,7 @@ def equations_of(model: Model) -> str:
 def _with_effects(path: Path, problem: Problem, added: Iterable[Mapping[str, Any]]) -> Problem:
     """The problem with stored effects in its model."""
     from casadi_engine.effects import library
-    from casadi_engine.effects.protocol import LAW, moves
+    from casadi_engine.effects.protocol import moves, with_settings
     from casadi_engine.errors import EffectError
 
     model = problem.model
@@ -63,8 +63,11 @@ def _with_effects(path: Path, problem: Problem, added: Iterable[Mapping[str, Any
         name, at = str(one["name"]), str(one["at"])
         try:
             (effect,) = library(name)
-            own = {key: one[key] for key in LAW if one.get(key) is not None and hasattr(effect, key)}
-            effect = dataclasses.replace(effect, **own)  # type: ignore[type-var]
+            # a result of before has but the width and the mean, beside the parameters
+            own = one.get("settings") or {
+                key: one[key] for key in ("width", "about") if one.get(key) is not None
+            }
+            effect = with_settings(effect, own)
             known = {key.rpartition(".")[2]: value for key, value in (one.get("constants") or {}).items()}
             if moves(effect):
                 say(

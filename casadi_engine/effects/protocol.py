@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -346,8 +346,33 @@ class Attachment:
         return f"{self.key}.{self.effect.amplitude.name}"
 
 
-# Numbers of an effect that are part of its law and no parameters: a stored result has them.
-LAW = ("width", "about")
+def settings_of(effect: Any) -> dict[str, Any]:
+    """What an effect was made with beside its parameters, where that is not the default: numbers, and lists of them and
+    of names, which a stored result has."""
+    found = {}
+    for one in fields(effect) if is_dataclass(effect) else ():
+        value = getattr(effect, one.name)
+        if value != one.default and _is_plain(value):
+            found[one.name] = value
+    return found
+
+
+def with_settings(effect: Any, settings: Mapping[str, Any]) -> Any:
+    """The effect made with stored settings; those that it does not have are left out."""
+    if not is_dataclass(effect):
+        return effect
+    known = {one.name for one in fields(effect)}
+    return replace(effect, **{name: _frozen(own) for name, own in settings.items() if name in known})  # type: ignore[type-var]
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, tuple | list):
+        return all(map(_is_plain, value))
+    return isinstance(value, str | bool) or (isinstance(value, int | float) and math.isfinite(value))
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
 
 
 def moves(effect: Any) -> bool:

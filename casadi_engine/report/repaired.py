@@ -8,7 +8,7 @@ from typing import Any
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.input_hold import TAKEN
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, Nearest, Place, Repair, Side, Unknown
-from casadi_engine.effects.protocol import LAW
+from casadi_engine.effects.protocol import settings_of
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.report.result_file import (
     _for_warm_start,
@@ -124,8 +124,9 @@ def _effect(one: FoundEffect, fit: Fit) -> dict[str, Any]:
             for member in one.members
         ],
     }
-    # over which its corners are rounded, and what is taken off an input that hardly varies
-    made |= {key: own for key in LAW if terms and (own := getattr(terms[0], key, None)) is not None}
+    made["settings"] = settings = settings_of(terms[0]) if terms else {}
+    # over which its corners are rounded, and what is taken off an input that hardly varies, as before there were more
+    made |= {key: own for key in ("width", "about") if (own := settings.get(key)) is not None}
     if one.selection_frequency is None:
         made["why"] = {"selection_frequency": "too few cycles to draw halves of them"}
     return made

@@ -444,8 +444,8 @@ def test_a_tie_to_numbers_alone(ties, engine):
 
 
 def test_a_tied_parameter_has_no_bounds_beyond_those_that_imply_them():
-    """Of two equal halves each with the same bounds the fit was one with a constraint, and searched as such: 5 of 30 ended
-    in a wrong optimum."""
+    """A fit of two equal halves with the same bounds was one with a constraint, and searched as such: 5 of 30 ended in
+    a wrong optimum."""
     pars = Parameters()
     pars.add("half", 1.0, min=0.1, max=4.0)
     pars.add("other", 1.0, min=0.0, max=10.0)
