@@ -113,15 +113,23 @@ def headline(repair: Repair) -> str:
     if repair.unknown and (law or repair.unknown.odds is not None):
         doubt += f", or {'rather ' if law else ''}a law that the library lacks"
     elif repair.unknown and not is_of_rounding(repair):
-        cut = bool(repair.stopped)
-        doubt += (
-            f", and more that {'was not searched to the end' if cut else 'no effect of the library names'}"
-        )
-        if laws_were_cut(repair):
-            doubt += ", or a law that the library lacks, which was not tried"
+        doubt += _and_more(repair)
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     hidden = "; the residual is coloured, and more may hide in it" if _may_hide_more(repair) else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}{hidden}"
+
+
+def _and_more(repair: Repair) -> str:
+    """What is said of what is unexplained beside the effects of an answer."""
+    # a delay of an input is held by a law that is not exact where the input jumps
+    delay = next((one for one in repair.effects if one.name == "input_delay"), None)
+    if repair.stopped:
+        said = ", and more that was not searched to the end"
+    elif delay is not None:
+        said = f", and more, which may be no more than what its law leaves where {delay.at[6:]} jumps"
+    else:
+        said = ", and more that no effect of the library names"
+    return said + (", or a law that the library lacks, which was not tried" if laws_were_cut(repair) else "")
 
 
 def acts_where(repair: Repair) -> str:
@@ -218,20 +226,22 @@ def _named(repair: Repair) -> str:
 
     Where a name is of another world, friction at what is no machine, it stands beside what it is.
     """
-    missing, wrong = [], []
+    missing, maybe, wrong = list[str](), list[str](), list[str]()
     for one in repair.effects:
+        unsure = is_untold(one) or is_early(one)
+        into = maybe if unsure else missing
         name = f"{one.name} at {one.at}"
         port = repair.model.ports[one.at] if one.at in repair.model.ports.names else None
         if port is not None and port.parameter:
-            wrong.append(f"{one.sentence} ({name})")
+            sentence = one.sentence.replace(" is wrong", " may be wrong") if unsure else one.sentence
+            wrong.append(f"{sentence} ({name})")
         elif port is not None and port.slot is not None and not port.is_mechanical:
-            missing.append(f"{name} ({one.sentence})")
+            into.append(f"{name} ({one.sentence})")
         else:
-            missing.append(name)
+            into.append(name)
     verb = "is" if len(missing) == 1 else "are"
-    if any(is_untold(one) or is_early(one) for one in repair.effects):
-        verb = "may be"
-    return " and ".join([*([f"{' and '.join(missing)} {verb} missing"] if missing else []), *wrong])
+    parts = [f"{' and '.join(own)} {how} missing" for own, how in ((missing, verb), (maybe, "may be")) if own]
+    return " and ".join([*parts, *wrong])
 
 
 def _on_fresh(repair: Repair) -> str:

@@ -18,6 +18,7 @@ from typing import Any
 from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.followed import lost
 from casadi_engine.parameters import Parameters
 
 # Chi-squared by which a point of the 95 % region lies above the optimum; errors by which another estimate is elsewhere.
@@ -48,6 +49,8 @@ def told_from_their_bounds(fit: Fit, parameters: Parameters, again: Callable[[di
 
     again(changes) : makes a fit with changed arguments
     """
+    if lost(fit):  # where its bounds are is not what is wrong with it
+        return fit
     seconds = _SECONDS + _TIMES * fit.timing.get("total", 0.0)
     for _ in range(_AGAIN):
         try:
