@@ -330,7 +330,9 @@ def _on_fixed(repair: Repair) -> str:
     fixed = [name for name in pars if not pars[name].vary and pars[name].tie is None and "." not in name]
     more = f" and {len(fixed) - _NAMED} more" if len(fixed) > _NAMED else ""
     gains = [
-        one.at.partition("_")[2] for one in repair.not_found if one.name == "input_gain" and not one.testable
+        one.at.partition("_")[2]
+        for one in repair.not_found
+        if one.name in ("input_gain", "sensor_gain") and not one.testable
     ]
     counts = [f"what is fixed: {', '.join(fixed[:_NAMED])}{more}"] if fixed else []
     counts += [f"the gain of {' and of '.join(gains)}, which these data cannot determine"] if gains else []

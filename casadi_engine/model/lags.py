@@ -107,7 +107,7 @@ def with_delays(model: Model, *, of_rates: bool = True) -> Model:
     for output, symbol in symbols.items():
         row = known.index(output)
         shown[row] = ca.substitute(shown[row], symbol, lags.get(output, 0.0))
-    plain = with_rates(replace(model, output_expressions=shown), of_rates=of_rates)
+    plain = with_rates(replace(model, output_expressions=shown), of_rates=of_rates, prompt=True)
     for output, symbol in symbols.items():
         row, rest = known.index(output), symbol - lags.get(output, 0.0)
         signals = plain.ports[sensors[row]].signals

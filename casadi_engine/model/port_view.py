@@ -139,10 +139,10 @@ class PortView:
         scales = {variable.name: variable.scale for variable in self._model.inputs}
         return {name: scales[name] for name in shown_at_once(self._model, self._row)}
 
-    def held_at(self, first: Mapping[str, float]) -> tuple[Any, Any]:
-        """What a sensor would show if the channels that it shows at once stayed at these numbers, and its rate."""
-        found = held_at(self._model, self._row, first)
-        return (self.value, self._absent("rate")) if found is None else found
+    def held_at(self, first: Mapping[str, float]) -> tuple[Any, Any] | None:
+        """What a sensor would show if the channels that it shows at once stayed at these numbers, and its rate; None
+        where that has none, as it jumps with a state or shows what acts at a port at once."""
+        return held_at(self._model, self._row, first)
 
     @property
     def _row(self) -> int:

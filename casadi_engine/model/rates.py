@@ -20,17 +20,20 @@ if TYPE_CHECKING:
     from casadi_engine.model.model import Model
 
 
-def with_rates(model: Model, *, of_rates: bool = False) -> Model:
+def with_rates(model: Model, *, of_rates: bool = False, prompt: bool = False) -> Model:
     """The model with the signals value, rate and bend (the rate's rate) of its sensors as its equations give them.
 
-    An output without a rate, because it jumps or holds another delay already, has the signal value alone. One whose
-    rate shows a channel has no bend, unless ``of_rates`` asks for it: the channel's rate is noise where it is measured,
-    and does no harm over a part of a sample only. Torques at ports change no bend: nobody knows their rates.
+    An output without a rate, because it jumps, by what acts at a port too, or holds another delay already, has the
+    signal value alone. One whose rate shows a channel has no bend, unless ``of_rates`` asks for it: the channel's rate
+    is noise where it is measured, and does no harm over a part of a sample only. Torques at ports change no bend:
+    nobody knows their rates. prompt : the outputs are written without the delays of the model's effects
     """
-    shown = _drives_put_in(model, model.output_expressions)
-    smooth = [_has_rate(model, shown[row]) for row in range(shown.numel())]
+    shown = _drives_put_in(model, _laws_put_in(model))
+    late = () if prompt else [one.at for one in model.effects if getattr(one.effect, "retards", False)]
+    sensors = [port.name for port in model.ports if port.kind == "sensor"]
+    smooth = [name not in late and _has_rate(model, shown[row]) for row, name in enumerate(sensors)]
     model = _with_symbols(model, [shown[row] for row, good in enumerate(smooth) if good])
-    rates = _total_rates(model, model.output_expressions)
+    rates = _total_rates(model, _laws_put_in(model))
     whole = _drives_put_in(model, rates)
     if of_rates:  # a drive that is made of channels joined by lines goes along a line too; where no
         # channel is shown at once it is held, which keeps the linear core
@@ -75,6 +78,14 @@ def held_at(model: Model, row: int, first: Mapping[str, float]) -> tuple[Any, An
         return None
     rate = ca.jtimes(still, model.x, model.ode) + ca.jacobian(still, model.t)
     return (still if names else model.output_expressions[row]), rate
+
+
+def _laws_put_in(model: Model) -> Any:
+    """The outputs with what acts at ports that they show: an accelerometer shows all of it."""
+    outputs = model.output_expressions
+    if model.w.numel() and ca.depends_on(outputs, model.w):
+        return ca.substitute(outputs, model.w, model.slot_laws)
+    return outputs
 
 
 def _drives_put_in(model: Model, shown: Any) -> Any:

@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.errors import EffectError
 
 STEP, COUNT = 0.5, 900
 
@@ -225,10 +224,18 @@ def test_a_lag_of_what_shows_inputs_at_once_is_exact():
         assert np.std(run["shown"].values - record["shown"].values) == pytest.approx(0.02, rel=0.1)
 
 
-def test_a_sensor_that_jumps_with_a_state_has_no_lag():
+def test_a_lag_of_a_sensor_that_jumps_with_a_state_is_exact():
+    """Of what jumps there is no rate, and none is asked for."""
     b = ce.Blueprint("switch")
     x = b.state("x")
-    b.ode("x", -x)
+    b.ode("x", -1.0)
     b.output("y", ca.sign(x))
-    with pytest.raises(EffectError, match="cannot act at the port sensor_y, which has no signal rate"):
-        b.model().with_effect(ce.effects.SensorLag(), at="sensor_y")
+    model = b.model().with_effect(ce.effects.SensorLag(), at="sensor_y", values={"share": 1.0})
+    t = np.linspace(0, 2, 201)
+    times = ce.Experiment.from_arrays("times", time=t, units={"y": "1"}, y=np.full(201, np.nan))
+    run = ce.simulate(
+        model, times, parameters={"sensor_y.sensor_lag.time": 0.2}, tolerance=1e-9,
+        initial={"x": 1.0, "sensor_y_sensor_lag_behind": 1.0},
+    )  # fmt: skip
+    expected = np.where(t < 1, 1.0, -1 + 2 * np.exp(-(t - 1) / 0.2))
+    np.testing.assert_allclose(run["y"].values, expected, atol=1e-6)
