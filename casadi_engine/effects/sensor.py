@@ -118,21 +118,19 @@ class SensorLag(Effect):
     """A sensor of which a share follows with a time constant τ [s], as behind a filter or in a well: with all of it
     (share 1) y − τ d(shown)/dt.
 
-    What it is behind by, e, goes by de/dt = −dy/dt − e/τ; it shows y + share e. Of an input that the output shows at
-    once no rate is asked for: it may jump. Where y has no rate at all, as it jumps with a state or shows what acts at a
-    port, e is s − y with ds/dt = (y − s)/τ. A delay as long does nearly the same to motion that is slow beside it.
+    What it is behind by, e, goes by de/dt = −dy/dt − e/τ; it shows y + share e. Where y jumps, or shows an input or
+    what acts at a port at once, e is s − y with ds/dt = (y − s)/τ. A delay as long does nearly the same to motion that
+    is slow beside it.
 
     span : the least and the largest time constant [s]; None for half a sample to a quarter of the records
-    first : input that the output shows at once -> its value where the sensor is at rest, its scale where none is given
-    begun : what the sensor shows at first, where its output has no rate
+    first : s where a record begins, in the unit of the output
 
     >>> SensorLag().describe("sensor_T_out")
     'a lag of sensor_T_out'
     """
 
     span: tuple[float, float] | None = None
-    first: tuple[tuple[str, float], ...] = ()
-    begun: float = 0.0
+    first: float = 0.0
 
     name = "sensor_lag"
     attaches = ("sensor",)
@@ -146,30 +144,24 @@ class SensorLag(Effect):
         return time_grid(self.span)
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
-        """The same at rest where a record begins, with the time constants that it can show where none were given."""
+        """The same from what a record shows first, with the time constants that it can show where none were given."""
         del values
         name = port.name.partition("_")[2]
         if name not in record:
             return self
-        shown = {one: record[one] for one in port.shown_at_once if one in record}
-        known = {one: own.values[own.mask] for one, own in shown.items()}
-        first = self.first or tuple((one, float(own[0])) for one, own in known.items() if len(own))
         seen = record[name].values[record[name].mask]
-        begun = self.begun or (float(seen[0]) if len(seen) else 0.0)
-        return replace(self, first=first, begun=begun, span=self.span or time_constants(record[name].time))
+        first = self.first or (float(seen[0]) if len(seen) else 0.0)
+        return replace(self, first=first, span=self.span or time_constants(record[name].time))
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
-        """share e, of which the state is what the inputs that are shown at once do not move."""
+        """share e."""
         del math
-        behind, at_once = port.state("behind"), port.shown_at_once
-        held = port.held_at(at_once | dict(self.first))
-        if held is None:
+        behind = port.state("behind")
+        if port.shows_at_once or not port.has("rate"):
             return Law(
-                p.share * (behind - port.value), {"behind": (self.begun, (port.value - behind) / p.time)}
+                p.share * (behind - port.value), {"behind": (self.first, (port.value - behind) / p.time)}
             )
-        still, rate = held
-        e = behind + still - port.value if at_once else behind
-        return Law(p.share * e, {"behind": (0.0, -rate - e / p.time)})
+        return Law(p.share * behind, {"behind": (0.0, -port.rate - behind / p.time)})
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -87,7 +87,7 @@ class _Blank:
     def __init__(self, kind: str):
         self.name, self.kind, self.time, self.declaration = "port", kind, ca.SX.sym("t"), None
         self.read: dict[str, Any] = {}
-        self.shown_at_once: dict[str, float] = {}
+        self.shows_at_once = False
 
     def __getattr__(self, signal: str) -> Any:
         if signal.startswith("__"):
@@ -108,10 +108,6 @@ class _Blank:
 
     def state(self, name: str) -> Any:
         return ca.SX.sym(name)
-
-    def held_at(self, first: Mapping[str, float]) -> tuple[Any, Any]:
-        del first
-        return 0.0, self.rate
 
     def stored(self, signal: str) -> Any:
         return getattr(self, signal)

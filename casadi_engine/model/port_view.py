@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import EffectError
 from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.model.declarations import ParameterDeclaration, Port
-from casadi_engine.model.rates import held_at, shown_at_once
+from casadi_engine.model.rates import shows_at_once
 from casadi_engine.parameters import near_matches
 
 # Dimensions of what drives a flow: a level, a pressure.
@@ -134,20 +134,10 @@ class PortView:
         return float(function([values[symbol.name()] for symbol in symbols]))
 
     @property
-    def shown_at_once(self) -> dict[str, float]:
-        """Name -> scale of the channels that the output of a sensor shows without a state between."""
-        scales = {variable.name: variable.scale for variable in self._model.inputs}
-        return {name: scales[name] for name in shown_at_once(self._model, self._row)}
-
-    def held_at(self, first: Mapping[str, float]) -> tuple[Any, Any] | None:
-        """What a sensor would show if the channels that it shows at once stayed at these numbers, and its rate; None
-        where that has none, as it jumps with a state or shows what acts at a port at once."""
-        return held_at(self._model, self._row, first)
-
-    @property
-    def _row(self) -> int:
+    def shows_at_once(self) -> bool:
+        """True for a sensor that shows an input, or what acts at a port, without a state between."""
         sensors = [port.name for port in self._model.ports if port.kind == "sensor"]
-        return sensors.index(self.name)
+        return shows_at_once(self._model, sensors.index(self.name))
 
     @property
     def has_courses(self) -> bool:

@@ -7,7 +7,6 @@ further entry of u behind the channels, and who samples the channels supplies it
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -56,28 +55,10 @@ def with_rates(model: Model, *, of_rates: bool = False, prompt: bool = False) ->
     return replace(model, ports=Ports(fresh))
 
 
-def shown_at_once(model: Model, row: int) -> tuple[str, ...]:
-    """The channels that an output shows without a state between."""
+def shows_at_once(model: Model, row: int) -> bool:
+    """True for an output that shows a channel, or what acts at a port, without a state between."""
     shown = _drives_put_in(model, model.output_expressions[row])
-    return tuple(
-        variable.name for k, variable in enumerate(model.inputs) if ca.depends_on(shown, model.channels[k])
-    )
-
-
-def held_at(model: Model, row: int, first: Mapping[str, float]) -> tuple[Any, Any] | None:
-    """An output with the channels that it shows at once held at these numbers, and its rate; None where it has none.
-
-    What stays between it and the output follows the channels without their rates, which are infinite where they jump.
-    """
-    names = shown_at_once(model, row)
-    known = [variable.name for variable in model.inputs]
-    channels = ca.vertcat(ca.SX(0, 1), *[model.channels[known.index(name)] for name in names])
-    shown = _drives_put_in(model, model.output_expressions[row])
-    still = ca.substitute(shown, channels, ca.SX([first[name] for name in names])) if names else shown
-    if not _has_rate(model, still):
-        return None
-    rate = ca.jtimes(still, model.x, model.ode) + ca.jacobian(still, model.t)
-    return (still if names else model.output_expressions[row]), rate
+    return bool(ca.depends_on(shown, ca.vertcat(model.w, model.channels)))
 
 
 def _laws_put_in(model: Model) -> Any:

@@ -338,7 +338,7 @@ def test_the_help_names_every_option(capsys):
 
 MADE = (
     ce.effects.SensorDrift(span=899.0, first=100.0),
-    ce.effects.SensorLag(span=(0.5, 20.0), first=(("T", 2.0), ("u", -1.0))),
+    ce.effects.SensorLag(span=(0.5, 20.0), first=2.0),
     ce.effects.InputLag(first=3.0),
     ce.effects.GroundSpring(first=0.25),
     ce.effects.WrongValue(absolute=True, low=-1.0, high=2.0),
