@@ -92,7 +92,8 @@ def misread(
     if found:
         before = _listed(followed(fit))
         words = f"{_told(found, 'the fit')}. As the records are, no fit explains more than {before}"
-        return Misread(words, not any(one.named for one, _ in found))
+        # what leaves more than noise may be led by physics that is missing, which a search tells
+        return Misread(words, found[0].to_noise and not any(one.reading.named for one in found))
     still = _still(fit)
     lost = " and ".join(name for name, share in poor.items() if share <= _NOTHING)
     if still and lost:
@@ -168,6 +169,16 @@ def _mostly_noise(fit: Fit) -> bool:
     )
 
 
+def _to_noise(fit: Fit) -> bool:
+    """True where what is left of every output is noise: as strong at all frequencies by half, or white."""
+    return all(
+        _floor(trace.residual[trace.mask]) >= _HALF
+        or not any(said.startswith(f"the residual of {record}/{name} is not white") for said in fit.messages)
+        for record, traces in fit.traces.items()
+        for name, trace in traces.items()
+    )
+
+
 def _floor(residual: Array) -> float:
     """The part of the squares of a residual that white noise has in the band in which there is least of it."""
     size = len(residual) // (2 * _BANDS)
@@ -230,6 +241,19 @@ def followed(fit: Fit) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
+class _Fitted:
+    """A fit to the records read in one way.
+
+    left : see ``_left``; shares : output -> per cent that is followed; to_noise : True where noise alone is left
+    """
+
+    left: float
+    reading: Reading
+    shares: Mapping[str, float]
+    to_noise: bool
+
+
+@dataclass(frozen=True)
 class _Readings:
     """Fits of one model to records that are read in other ways."""
 
@@ -242,9 +266,9 @@ class _Readings:
 
     def good(
         self, ways: Sequence[Reading], work: float, is_good: Callable[[Mapping[str, float]], bool]
-    ) -> list[tuple[Reading, dict[str, float]]]:
-        """The ways in which the fit is good, the best first, of those that promise most where the parameters start,
-        with the per cent of each output that it follows; those that are not as good as the best are left out."""
+    ) -> list[_Fitted]:
+        """The ways in which the fit is good, the best first, of those that promise most where the parameters start;
+        those that are not as good as the best are left out."""
         held = self.parameters.copy()
         for name in held.names:
             if held[name].vary:
@@ -259,7 +283,7 @@ class _Readings:
                 if spent.done > _LOOKS * work or seconds_left() < half:
                     break
         looks.sort(key=lambda pair: pair[0])
-        fits: list[tuple[float, Reading, dict[str, float]]] = []
+        fits: list[_Fitted] = []
         least = math.inf  # at first sight, of those that are good
         for left, one in looks[: self.tried]:
             if left > least + math.log(_PROMISING):
@@ -270,10 +294,10 @@ class _Readings:
                 continue
             if _bent(found) or not self._inputs_matter(records, found, work):
                 continue
-            fits.append((_left(found), one, followed(found)))
+            fits.append(_Fitted(_left(found), one, followed(found), _to_noise(found)))
             least = min(least, left)
-        fits.sort(key=lambda made: made[0])
-        return [(one, shares) for left, one, shares in fits if left <= fits[0][0] + math.log(_ALIKE)]
+        fits.sort(key=lambda made: made.left)
+        return [one for one in fits if one.left <= fits[0].left + math.log(_ALIKE)]
 
     def _inputs_matter(self, records: Sequence[Experiment], fit: Fit, work: float) -> bool:
         """True unless the initial states alone make the fit good, as of a model so slow that it hardly moves; one
@@ -357,11 +381,11 @@ def _still(fit: Fit) -> str:
     return " and ".join(found)
 
 
-def _told(found: Sequence[tuple[Reading, Mapping[str, float]]], what: str) -> str:
+def _told(found: Sequence[_Fitted], what: str) -> str:
     """What a fit explains in the best way to read the data, and the next one that is as good."""
-    one, shares = found[0]
-    beside = "".join(f"; as much with {other.words}: {other.check}" for other, _ in found[1:2])
-    return f"with {one.words} {what} explains {_listed(shares)}: {one.check}{beside}"
+    one = found[0].reading
+    beside = "".join(f"; as much with {other.reading.words}: {other.reading.check}" for other in found[1:2])
+    return f"with {one.words} {what} explains {_listed(found[0].shares)}: {one.check}{beside}"
 
 
 def _listed(shares: Mapping[str, float]) -> str:
