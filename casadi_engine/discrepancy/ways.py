@@ -3,10 +3,12 @@ order in which structures are put to the test of fresh data."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from casadi_engine.deadline import late
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.membership import class_of, ordered, reached
@@ -46,17 +48,32 @@ def ranked(search: Choice) -> Iterator[Key]:
 
 
 def way(search: Choice, key: Key) -> list[Station] | None:
-    """The stations on the way to a structure, effect by effect, the most telling first; None where a fit of one does
-    not converge, or an effect does nothing of its own beside the others (what differs by direction, once the motion
-    has one direction alone)."""
+    """The stations on the way to a structure, effect by effect, the most telling first, or in another order where a fit
+    on that way does not converge; None where there is no way, or an effect does nothing of its own beside the others
+    (what differs by direction, once the motion has one direction alone)."""
     effects = ordered(search.pool[key].effects, search.pool)
     if not effects:
         search.as_chosen(key)
+        return [search.null]
+    shut = set[Key]()  # beginnings that lead nowhere
+    for own in itertools.permutations(effects):
+        if any(key_of(own[:count]) in shut for count in range(1, len(own) + 1)):
+            continue
+        found = _along(search, key, own, shut)
+        if found is not None or late():
+            return found
+    return None
+
+
+def _along(search: Choice, key: Key, effects: Sequence[Addition], shut: set[Key]) -> list[Station] | None:
+    """The stations of a structure's effects in this order; None where there is one that cannot be reached, which
+    ``shut`` takes."""
     found = [search.null]
     for count in range(1, len(effects) + 1):
-        own = effects[:count]
+        own = tuple(effects[:count])
         if _idle(found[-1], own[-1]):
             search.failed.setdefault(search.pool[key].label, _IDLE)
+            shut.add(key_of(own))
             return None
         if key_of(own) not in search.pool:
             there = search.pool[key].arrived
@@ -64,6 +81,7 @@ def way(search: Choice, key: Key) -> list[Station] | None:
         part = search.pool.get(key_of(own))
         station = None if part is None else search.station_of(part)
         if station is None:
+            shut.add(key_of(own))
             return None
         station = search.as_chosen(key) if count == len(effects) else station
         found.append(_reached(search, found[-1], station, key, own))

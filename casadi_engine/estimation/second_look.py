@@ -83,12 +83,23 @@ def looked_at_twice(
 
 
 def _from_other_starts(fit: Fit, again: Again, kept: Callable[[Fit, dict[str, Any]], Fit]) -> Fit:
-    """The fit, or a better one from other starts, of one that went far or to a bound and leaves more than noise, where
-    that is quick."""
+    """The fit, or a better one from other starts, of one that went far or to a bound and leaves more than noise, or
+    whose likelihood is no quadratic, as where it has further optima, if that is quick."""
     more = any("is not white" in words and words.startswith("the residual of") for words in fit.messages)
-    if not (more and is_elsewhere(fit) and fit.timing["total"] < _QUICK) or wild_samples(fit) is not None:
+    asked = (more and is_elsewhere(fit)) or _is_bent(fit)
+    if not (asked and fit.timing["total"] < _QUICK) or wild_samples(fit) is not None:
         return fit
     return _another(fit, again, kept, {"starts": _STARTS}, 1.0, {OTHERS: _STARTS})
+
+
+def _is_bent(fit: Fit) -> bool:
+    """True where an estimate rests on a bound; or, of a fit that looked at no other start, has no symmetric error."""
+    errors = [fit.estimates[name] for name in fit.free if name in fit.estimates]
+    if any(one.at_bound for one in errors):
+        return True
+    looked = "frequency bins" in str(fit.options.get("searched on", ""))
+    bent = any(one.stderr is None and one.interval is not None for one in errors)
+    return not looked and (bent or bool(fit.doubted))
 
 
 def or_whole(begun: Callable[[dict[str, Any]], Fit]) -> Fit:
