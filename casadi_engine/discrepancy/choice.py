@@ -259,10 +259,10 @@ class Choice:
         now = self.pool[self.best]
         if not now.effects or len(now.effects) >= self.most or late():
             return
-        screened, beside = (self.stations[key].screened for key in (frozenset(), self.best))
-        families = families_of(screened)
+        screened = self.stations[frozenset()].screened
         made = self._timed("exchange", lambda: tried_in_two(
-            self.refits, now, screened, families, partial(chosen_of, screened), self.tell, beside
+            self.refits, now, screened, families_of(screened), partial(chosen_of, screened), self.tell,
+            self.stations.get(self.best),
         ))  # fmt: skip
         self.refits.weigh()
         ready = [one for one in made if one.beyond > BEYOND and one.log - self.price > now.log]

@@ -21,6 +21,7 @@ from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import FACTOR, PART, Refits
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.tried import Tried
 
 # Rivals that are tried with one more effect, and effects that each is tried with, the best by one step.
@@ -43,11 +44,11 @@ def tried_in_two(
     families: Families,
     chosen: Callable[[OneStep, Sequence[int]], Addition],
     tell: Callable[[str], None],
-    beside: Screened | None = None,
+    beside: Station | None = None,
 ) -> list[Tried]:
     """Structures with two effects in the place of one of ``now``, refitted; the pool holds them.
 
-    chosen : the addition of a family that one step asks for; beside : the scores along ``now``, if they are known
+    chosen : the addition of a family that one step asks for; beside : the station of ``now``, if there is one
     """
     made: list[Tried] = []
     price = price_of(families)
@@ -60,7 +61,7 @@ def tried_in_two(
         ]  # fmt: skip
         for one in sorted(alike, key=lambda t: -t.log)[:_RIVALS]:
             others = {key: own for key, own in families.items() if key not in one.key | now.key}
-            lifting = None if beside is None else lifted_by(beside, one.key - rest, least)
+            lifting = None if beside is None else lifted_by(beside.screened, one.key - rest, least)
             if lifting is not None:
                 others = {key: own for key, own in others.items() if key in lifting}
             if not others:

@@ -66,14 +66,13 @@ def way(search: Choice, key: Key) -> list[Station] | None:
 
 
 def _along(search: Choice, key: Key, effects: Sequence[Addition], shut: set[Key]) -> list[Station] | None:
-    """The stations of a structure's effects in this order; None where there is one that cannot be reached, which
-    ``shut`` takes."""
+    """The stations of a structure's effects in this order; None where there is one that cannot be reached: ``shut``
+    takes those that have no fit, in any order."""
     found = [search.null]
     for count in range(1, len(effects) + 1):
         own = tuple(effects[:count])
         if _idle(found[-1], own[-1]):
             search.failed.setdefault(search.pool[key].label, _IDLE)
-            shut.add(key_of(own))
             return None
         if key_of(own) not in search.pool:
             there = search.pool[key].arrived

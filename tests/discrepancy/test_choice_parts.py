@@ -288,13 +288,36 @@ def test_what_fresh_data_prefer_is_scored_in_the_colour_of_its_noise_as_the_chos
 
 
 @pytest.mark.parametrize(
-    ("known", "fitted"), [({(): "b", ("a",): "b"}, []), ({(): "ab", ("a",): "c"}, ["a"]), ({(): ""}, [])]
+    ("known", "fitted"),
+    [({(): "b", ("b",): "c"}, ["b"]), ({(): "ab", ("a",): "c", ("b",): "c"}, ["a", "b"]), ({(): ""}, [])],
 )
 def test_there_is_no_way_by_an_effect_that_is_no_candidate_at_the_station_before(monkeypatch, known, fitted):
     """It does nothing of its own there, so that nothing can be said of it."""
     found = on_the_way(monkeypatch, known)
     assert found.way(key_of("a", "b")) is None
     assert found.asked == [key_of(name) for name in fitted]
+
+
+def test_there_is_another_way_where_one_effect_alone_has_no_fit(monkeypatch):
+    """A slow thermometer and a wrong capacity: the fit with the thermometer alone ran to a bound, and the pair, 1e5
+    times as probable by fresh data, was given up."""
+    found = on_the_way(monkeypatch, {(): "ab", ("b",): "a", ("a", "b"): ""})
+    plain = Choice.station_of
+    monkeypatch.setattr(
+        Choice, "station_of", lambda self, one: None if one.key == key_of("a") else plain(self, one)
+    )
+    assert [one.fit for one in found.way(key_of("a", "b"))] == [(), ("b",), ("a", "b")]
+    # where it does nothing of its own at first, but beside the other one it does
+    found = on_the_way(monkeypatch, {(): "b", ("b",): "a", ("a", "b"): ""})
+    assert [one.fit for one in found.way(key_of("a", "b"))] == [(), ("b",), ("a", "b")]
+
+
+def test_no_other_way_is_tried_once_the_time_is_up(monkeypatch):
+    found = on_the_way(monkeypatch, {(): "ab", ("b",): "a", ("a", "b"): ""})
+    monkeypatch.setattr(Choice, "station_of", lambda self, one: found.asked.append(one.key))
+    monkeypatch.setattr(ways, "late", lambda: True)
+    assert found.way(key_of("a", "b")) is None
+    assert found.asked == [key_of("a")]
 
 
 def test_there_is_no_way_by_a_fit_that_does_not_converge(monkeypatch):
