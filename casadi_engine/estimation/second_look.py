@@ -138,7 +138,7 @@ def _another(
     seconds = max(least, _SECONDS + times * fit.timing["total"])
     try:
         # of the processor, that the answer does not depend on what else the machine does
-        with Deadline(seconds, clock=time.process_time):
+        with Deadline(seconds, clock=time.process_time), np.errstate(all="ignore"):  # starts may be anywhere
             found = again(changes)
     except TimeUp:
         if late():

@@ -18,6 +18,9 @@ from casadi_engine.estimation.second_look import BOTH, looked_at_twice, or_whole
 NOT_WHITE = ("the residual of r/y is not white (neighbours correlate by 0.9): the model lacks something",)
 
 
+BINS = {"searched on": "16 of 200 frequency bins up to 3 Hz"}
+
+
 @dataclass(frozen=True)
 class Found:
     cost: float
@@ -36,6 +39,8 @@ class Found:
     start: dict = field(default_factory=dict)
     values: dict = field(default_factory=dict)
     bound: bool = False
+    interval: tuple | None = None
+    doubted: tuple = ()
 
     @property
     def free(self):
@@ -43,7 +48,9 @@ class Found:
 
     @property
     def estimates(self):
-        return {name: SimpleNamespace(at_bound=self.bound) for name in self.values}
+        known = None if self.interval else 0.1
+        own = SimpleNamespace(at_bound=self.bound, stderr=known, interval=self.interval)
+        return dict.fromkeys(self.values, own)
 
     @property
     def fit_percent(self):
@@ -209,13 +216,21 @@ def test_a_fit_far_from_its_start_is_searched_over_whole_records_too(changes, lo
         ({"values": {"a": 1.0}, "bound": True}, True),
         ({"values": {"a": 1.5}}, False),  # it is where it began
         ({"messages": ()}, False),  # nothing is left
+        # no quadratic has what further optima have
+        ({"messages": (), "bound": True}, True),
+        ({"messages": (), "doubted": ("a",)}, True),
+        ({"messages": (), "interval": (1.0, 3.0)}, True),
+        (
+            {"messages": (), "interval": (1.0, 3.0), "options": {**BINS, "approach": "direct", "starts": 1}},
+            False,
+        ),
         ({"timing": {"total": 60.0}}, False),
         ({"converged": False}, False),
     ],
 )
 def test_one_that_leaves_more_than_noise_is_searched_from_other_starts_too(changes, looked):
     """The mass of a tank with slosh: 188 +- 9 for 120, 71 % of an acceleration followed where 84 % can be; eight starts
-    cost less than that search."""
+    cost less than that search. Of three relaxations 8 of 40 fits ended at an optimum that was higher by 1.4 to 5.7."""
     asked = []
 
     def again(changed):
