@@ -478,13 +478,13 @@ class Refits:
         """A fit with corners as sharp as they are was reached: they are not taken back for what is added later."""
         self._wide.clear()
 
-    def rounding_felt(self, effects: Sequence[Addition]) -> float:
+    def rounding_felt(self, effects: Sequence[Addition], *, ended: bool = False) -> float:
         """Chi-squared by which sharper corners of these effects may change it, nan where that is not known; 0 where the
-        data do not feel it."""
-        if self.path.felt <= FELT or not any(self.path.cornered([one]) for one in effects):
+        data do not feel it. ended : before all was done, so that what is known may be of another structure"""
+        if (self.path.felt <= FELT and not ended) or not any(self.path.cornered([one]) for one in effects):
             return 0.0
         tried = self.pool.get(key_of(effects))
-        known = self.path.felt
+        known = math.nan if ended else self.path.felt
         if math.isnan(known) and tried is not None:
             known = self.path.felt_along(tried.effects, tried.arrived)
         return 0.0 if known <= FELT else known

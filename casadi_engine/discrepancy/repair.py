@@ -383,7 +383,7 @@ class _Job:
         """The answer with all that is said beside it: what was not searched, what else would read the data alike."""
         refits, options = search.refits, self.options
         left = _not_searched(search, made)
-        felt = refits.rounding_felt(search.chosen.effects)
+        felt = refits.rounding_felt(search.chosen.effects, ended=bool(left))
         with lifted():  # one simulation at most, by which an answer may have to be less sure
             made = told_as_one_law(made)
         made = with_errors_of_rounding(made, felt, refits.path.moved, ended=bool(left))
