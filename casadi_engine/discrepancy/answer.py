@@ -102,6 +102,8 @@ _MAY_HIDE = (
 _TESTS, _EXTRA = 0.75, 0.9
 # Prior standard deviations beyond which an error of a sensor is no error that a sensor has: a quarter of what it shows.
 _LARGE = 5.0
+# Times the noise of the search that is left of an output, from which it is no noise: half more of its square.
+_LOUD = 1.2
 # What ± are worth where effects explain not all.
 _MORE = "the ± cover noise alone; what is still unexplained may move the values by more"
 _LEFT_OUT = {
@@ -272,7 +274,9 @@ class Answer:
         if not (claim.found and self.portion.fresh and cut):
             return False
         if claim.unknown is None:
-            return claim.last.screened.choice.is_coloured
+            levels, left = self.search.refits.path.levels, claim.last.fit.residual_level
+            more = any(left[name] > _LOUD * level for name, level in levels.items() if name in left)
+            return more or claim.last.screened.choice.is_coloured
         return not self._may_be_rounding(claim.last, claim.unknown)
 
     def _behind_a_filter(self, claim: Claim) -> Unknown | None:

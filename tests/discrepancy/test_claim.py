@@ -341,24 +341,27 @@ def test_a_model_that_leaves_more_than_the_stated_noise_lacks_something(size, st
 
 
 @pytest.mark.parametrize(
-    ("judged", "fresh", "unknown", "coloured", "unjudged"),
+    ("judged", "fresh", "unknown", "coloured", "left", "unjudged"),
     [
-        (False, True, None, True, True),  # its colour may be what is missing
-        (False, True, None, False, False),
-        (False, True, Unknown("more is left", {}), False, True),
-        (True, True, None, True, False),
-        (False, False, None, True, False),
+        (False, True, None, True, 1.0, True),  # its colour may be what is missing
+        (False, True, None, False, 1.0, False),
+        # friction alone was named where a load cell had the wrong gain: five times the noise was left of it
+        (False, True, None, False, 5.6, True),
+        (False, True, Unknown("more is left", {}), False, 1.0, True),
+        (True, True, None, True, 5.6, False),
+        (False, False, None, True, 5.6, False),
     ],
 )
 def test_what_fresh_data_were_not_asked_of_is_no_name_beside_a_colour(
-    judged, fresh, unknown, coloured, unjudged
+    judged, fresh, unknown, coloured, left, unjudged
 ):
     """A rubber stop was "a load step and an offset of -62 deg", named, as the rest was coloured and the time was up."""
     effects = (stub(),)
-    last = stub(screened=stub(choice=stub(is_coloured=coloured)), effects=effects)
+    fit = stub(residual_level={"y": 4.6 * left})
+    last = stub(screened=stub(choice=stub(is_coloured=coloured)), effects=effects, fit=fit)
     claim = stub(found=effects, unknown=unknown, last=last, proof=stub(judgement=stub() if judged else None))
     made = stub(
-        search=stub(failed={"more": answer.TIME_UP}),
+        search=stub(failed={"more": answer.TIME_UP}, refits=stub(path=stub(levels={"y": 4.6}))),
         portion=stub(fresh=("b",) if fresh else ()),
         _may_be_rounding=lambda *_: False,
     )
