@@ -30,6 +30,7 @@ from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.grid import Grid, Measured, lay_grid
 from casadi_engine.simulation.late_outputs import as_shown
 from casadi_engine.simulation.propagator import switches_with_states
+from casadi_engine.simulation.runge_kutta import Fineness
 
 Array = NDArray[np.float64]
 
@@ -228,6 +229,10 @@ class _Record:
         self.record = RecordTerm(
             model, data, self.coordinates.symbol, local, length=length, gain=None, method=method, grid=grid
         )
+        fineness = fit.fineness.get(data.name)  # steps that the search found, where the record is one of its own
+        if isinstance(fineness, Fineness):
+            self.record.step_in_places(anyway=True)
+        self.record.as_fine_as(fineness)
         self.record.set_sigma(np.ones(len(self.outputs)))
         self.sigma = np.array([fit.noise.get(name, (np.nan, False))[0] for name in self.outputs])
         self.shares = share_noises(fit)
@@ -297,6 +302,8 @@ class _Record:
                     break
             point = record.evaluate(v, nodes)
         except FloatingPointError as fault:
+            if record.step_in_places():
+                return self.at(v, first)
             raise SimulationError(
                 "there are no slopes along the simulation, of which a band is made",
                 seen=str(fault),
