@@ -315,7 +315,10 @@ class RungeKuttaPropagator:
                     self._evaluated = True
                     self._last = (z.copy(), nodes.copy(), found) if order else None
                     return found
-                self._finer(found)
+                if found is None:
+                    self._lay(Fineness(RADAU, np.ones(self.grid.samples - 1, np.intp)))
+                else:
+                    self._finer(found)
             raise FloatingPointError("the model's state is not finite here")
         except (FloatingPointError, TimeUp):
             # What no steps can evaluate, such as a root of less than 0, asks for none of the points to come.
@@ -344,8 +347,9 @@ class RungeKuttaPropagator:
         self._fineness, self.layout, self._sweeps = before
         return found
 
-    def _attempt(self, z: Array, nodes: Array, order: int) -> RungeKuttaTrajectory | float | Array:
-        """The trajectory; or by how much shorter steps have to be for one."""
+    def _attempt(self, z: Array, nodes: Array, order: int) -> RungeKuttaTrajectory | float | Array | None:
+        """The trajectory; or by how much shorter steps have to be for one, None where implicit ones may have one: what
+        is not stiff where the intervals begin may be so later, as with a radical of which there is none at first."""
         sweeps, implicit = self._sweeps, self._scheme.implicit
         assert sweeps is not None  # laid by `propagate`
         begun, stages = sweeps.run(z, nodes)
@@ -353,6 +357,8 @@ class RungeKuttaPropagator:
         if not finite and implicit:
             return self._lost(begun)
         if not finite and not self._stiff_at(z, nodes):
+            if not self._evaluated:
+                return None
             raise FloatingPointError("the model's state is not finite here")
         if not finite:
             return 4.0

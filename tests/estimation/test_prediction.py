@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import casadi
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.errors import SimulationError
@@ -367,3 +368,51 @@ def test_the_start_of_a_fresh_record_is_fitted_as_the_fit_was(kind):
         band = ce.simulate(fit, fresh, band=True)["omega"]
         inside.append(band.low[0] <= 1.0 <= band.high[0])
     assert 17 <= sum(inside) <= 20
+
+
+def polymer():
+    """Radicals of which there are none at first: 50/s fast once they are there."""
+    b = ce.Blueprint("polymer")
+    kd = b.parameter("kd", 2.5e-4, unit="1/s", min=2.5e-7, max=0.25)
+    kp = b.parameter("kp", 800.0, unit="L/(mol s)", min=0.8, max=8e5)
+    kt = b.parameter("kt", 6e7, unit="L/(mol s)", min=6e4, max=6e10)
+    i, m, r = (
+        b.state("I", unit="mol/L", scale=0.01),
+        b.state("M", unit="mol/L"),
+        b.state("R", unit="mol/L", scale=1e-8),
+    )
+    b.ode("I", -kd * i)
+    b.ode("M", -kp * m * r)
+    b.ode("R", 1.2 * kd * i - 2 * kt * r**2)
+    b.output("M_out", m, unit="mol/L")
+    b.output("R_esr", 1e9 * r, unit="nmol/L")
+    return b.model()
+
+
+def batch(name, seed, until):
+    def rates(t, x):
+        return [-3e-4 * x[0], -900 * x[1] * x[2] * 1e-8, (3.6e-4 * x[0] - 1.4e8 * (x[2] * 1e-8) ** 2) * 1e8]
+
+    t, rng = np.r_[0.0, 1.0, 3.0, np.arange(10, until, 120.0)], np.random.default_rng(seed)
+    y = solve_ivp(rates, (0, t[-1]), [0.02, 5.0, 0.0], method="LSODA", t_eval=t, rtol=1e-9, atol=1e-12).y
+    values = {
+        "M_out": y[1] + 0.02 * rng.standard_normal(len(t)),
+        "R_esr": 10 * y[2] + 6 * rng.standard_normal(len(t)),
+    }
+    return y, ce.Experiment.from_arrays(name, time=t, units={"M_out": "mol/L", "R_esr": "nmol/L"}, **values)
+
+
+def test_what_becomes_stiff_after_its_start_is_fitted_and_has_a_band():
+    """ "The model cannot be evaluated at the start values", where a simulation had no trouble, and no band."""
+    begin = {"I": 0.02, "M": 5.0, "R": 0.0}
+    _, data = batch("batch", 1, 3600)
+    fit = ce.estimate(polymer(), data, initial=begin, noise=ce.Noise(M_out=0.02, R_esr=6.0), progress=False)
+    assert fit.converged
+    for true, error, name in ((3e-4, 1e-4, "kd"), (900.0, 100.0, "kp"), (7e7, 3e7, "kt")):
+        assert abs(fit.values[name] - true) < 4 * fit.stderr[name] < error
+    again, fresh = batch("another", 2, 3000)
+    for record, true in ((data, batch("batch", 1, 3600)[0]), (fresh, again)):
+        band = ce.simulate(fit, record, initial=begin, band=True).bands["M_out"]
+        inside = (band.low - 1e-3 <= true[1]) & (true[1] <= band.high + 1e-3)
+        assert inside.mean() > 0.5
+        assert 0 < np.median(band.high - band.low) < 0.1
