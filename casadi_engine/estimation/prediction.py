@@ -229,9 +229,8 @@ class _Record:
         self.record = RecordTerm(
             model, data, self.coordinates.symbol, local, length=length, gain=None, method=method, grid=grid
         )
-        fineness = fit.fineness.get(
-            data.name
-        )  # steps that the search found, where the record is one of its own
+        # steps that the search found, where the record is one of its own
+        fineness = fit.fineness.get(data.name)
         if isinstance(fineness, Fineness):
             self.record.step_in_places(anyway=True)
         self.record.as_fine_as(fineness)

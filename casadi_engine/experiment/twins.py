@@ -65,20 +65,20 @@ def _is_rounded(one: Channel, other: Channel) -> bool:
     ):
         return False
     both = one.mask & other.mask
-    pairs = (one.values[both], other.values[both])
-    return any(
-        np.mean(np.abs(np.round(fine, digits) - coarse) <= _TIME * 10.0**-digits) >= _EQUAL
-        for coarse, fine in (pairs, pairs[::-1])
-        if len(coarse) >= _FEWEST and (digits := _decimals(coarse)) is not None
-    )
+    coarse, fine = sorted((one.values[both], other.values[both]), key=_decimals)
+    # two sensors that read in wide steps may well show the same, and so do two at rest
+    told = len(np.unique(coarse)) >= max(_FEWEST, _COMMON * len(coarse))
+    if not told or _decimals(coarse) >= min(_decimals(fine), _DECIMALS):
+        return False
+    digits = _decimals(coarse)
+    return bool(np.mean(np.abs(np.round(fine, digits) - coarse) <= _TIME * 10.0**-digits) >= _EQUAL)
 
 
-def _decimals(values: Array) -> int | None:
-    """The decimals that all of these values are written with; None for more than a table would have."""
+def _decimals(values: Array) -> int:
+    """The decimals that all of these values are written with, up to those of a table."""
     size = np.abs(values).max(initial=0.0)
-    return next(
-        (k for k in range(_DECIMALS) if np.all(np.abs(np.round(values, k) - values) <= 1e-12 * size)), None
-    )
+    fits = (k for k in range(_DECIMALS) if np.all(np.abs(np.round(values, k) - values) <= 1e-12 * size))
+    return next(fits, _DECIMALS)
 
 
 def _moves(channel: Channel) -> bool:

@@ -63,6 +63,16 @@ def test_a_copy_with_fewer_decimals():
     assert twin_of(fine, [coarse], ["y"]) is coarse
     again = measured("again", t, np.round(np.sin(3 * t) + 0.05 * rng.standard_normal(600), 3))
     assert twin_of(again, [fine, coarse], ["y"]) is None
+    # two encoders whose steps are wider than their noise, and two switches, are two
+    slow = 0.4 * np.sin(0.2 * t)
+    one, other = (
+        measured(n, t, np.round(slow + 0.01 * rng.standard_normal(600), k)) for n, k in (("a", 1), ("b", 4))
+    )
+    assert twin_of(one, [other], ["y"]) is None
+    on = (t > 3).astype(float)
+    assert (
+        twin_of(measured("c", t, on), [measured("d", t, on + 1e-3 * rng.standard_normal(600))], ["y"]) is None
+    )
 
 
 def test_what_is_no_twin():
