@@ -86,3 +86,34 @@ def test_dry_friction_and_drag_of_a_slide_are_both_found_beside_friction_that_fa
     assert len(classes) == 2
     assert any("quadratic_drag" in own for own in classes)
     assert any("coulomb_friction" in own for own in classes)
+
+
+def along_the_chosen(residual, columns, parameters=1):
+    """Scores along a model that was chosen: one column for each of these candidates, beside a parameter's."""
+    rows = np.column_stack([np.eye(len(residual))[:, :parameters], *columns.values(), residual])
+    size = np.linalg.norm(rows[:, parameters:-1], axis=0)
+    reduced = SimpleNamespace(rows=rows, parameters=parameters, size=size)
+    candidates = [SimpleNamespace(key=key) for key in columns]
+    return SimpleNamespace(candidates=candidates, compressed=SimpleNamespace(reduced=lambda: reduced))
+
+
+def test_what_helps_beside_a_rival_along_what_was_chosen():
+    """Three rivals were made and scored anew, for a quarter of a repair, where none does what the chosen one does."""
+    e = np.eye(6)
+    residual = np.array([5.0, 4.0, 3.0, 1.0, 0.0, 0.0])  # 5 of it is the parameter's
+    columns = {DRY: e[1], DRAG: e[1] + 0.5 * e[2], FADING: 1e-9 * e[0] + e[4], STEP: e[0]}
+    beside = along_the_chosen(residual, columns)
+    # dry friction takes 16 by itself, with the drag 25; what is the parameter's, or at right angles, adds nothing
+    assert pairs.lifted_by(beside, {DRY}, 15.9) == {DRY, DRAG, FADING, STEP}
+    assert pairs.lifted_by(beside, {DRY}, 16.1) == {DRAG}
+    assert pairs.lifted_by(beside, {DRY}, 25.1) == set()
+    assert pairs.lifted_by(beside, {("unknown", "load")}, 1.0) is None
+
+
+def test_a_rival_that_nothing_lifts_there_is_not_made(monkeypatch):
+    one, now = tried(DRY, 10.0), tried(FADING, 30.0)
+    refits = SimpleNamespace(pool={t.key: t for t in (one, now)}, levels=SimpleNamespace(memory={}))
+    refits.null = lambda _: pytest.fail("it was linearised")
+    beside = SimpleNamespace(screened=along_the_chosen(np.zeros(3), {DRY: np.eye(3)[1], DRAG: np.eye(3)[2]}))
+    given = SimpleNamespace(candidates=[]), FAMILIES, None, lambda words: None, beside
+    assert pairs.tried_in_two(refits, now, *given) == []
