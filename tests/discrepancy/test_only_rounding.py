@@ -41,7 +41,7 @@ def test_an_effect_alone_and_smooth_ones_stay():
 
 
 def test_what_sharper_corners_do_is_measured_along_the_answer_of_a_search_that_was_ended():
-    """It was known of friction alone, as sharp as the data feel it; beside a play, 60 times as blunt, 0.04057 +- 0.00014
+    """It was known of friction alone, as sharp as the data feel it; beside a play, 60 times as blunt, 0.0406 +- 0.00014
     N m stood for 0.04."""
     effects = (DRY,)
     tried = SimpleNamespace(effects=effects, arrived=None)
