@@ -34,7 +34,7 @@ from casadi_engine.estimation.nothing_left import nothing_left
 from casadi_engine.estimation.options import begun_at, chosen, seconds_for_intervals, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Attempt, Search
-from casadi_engine.estimation.second_look import LOWER, looked_at_twice, or_whole
+from casadi_engine.estimation.second_look import LOWER, has_rivals, looked_at_twice, or_whole
 from casadi_engine.estimation.short_intervals import short_enough
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.unused_parameters import held_if_unused, not_asked
@@ -230,7 +230,9 @@ def _followed_up(
         return run(arguments | changed, starts, 0, how[-1], **how_else)
 
     def with_errors(found: Fit, changed: dict[str, Any]) -> Fit:
-        """A fit that was made without its errors; made anew where it is not met from its optimum."""
+        """A fit that was made without its errors; made anew where it is not met from its optimum, or has rivals."""
+        if has_rivals(found):
+            return again(changed)
         there = {"parameters": found.parameters, "warm": found, "approach": "direct"}
         whole = again({"interval": found.options["interval"]} | there)
         return whole if whole.converged and merit(whole) <= merit(found) + LOWER else again(changed)

@@ -45,6 +45,8 @@ _RISES, _FLAT = 1.0, 0.1
 _HEAD, _LONG = 1000, 4
 # Standard deviations by which first samples deny a first state.
 _SEEN = 5.0
+# Information on an equation between parameters, in that of the data.
+_FIRM = 1e6
 # Units of angles, and a turn in them.
 _TURN = {"rad": 2 * np.pi, "deg": 360.0}
 # Units of frequencies, and in them one of a swing a second; share by which steps are equal.
@@ -350,12 +352,26 @@ class _Exchange:
             gradient[own] += slopes @ point.r.ravel()
             matrix[np.ix_(own, own)] += slopes @ slopes.T
             at += record.n
+        self._hold_equations(v, gradient, matrix)
         unit = np.concatenate([search.coordinates.slope(v), np.ones(sum(sizes))])
         now = np.concatenate([search.coordinates.values(v), *self.starts])
         low, high = self._limits()
         free = low < high
         free[self._held] = False
         return now, _least_squares(gradient / unit, matrix / np.outer(unit, unit), free)
+
+    def _hold_equations(self, v: Array, gradient: Array, matrix: Array) -> None:
+        """Add what a step from v (nv,) away from constraints that are equations costs to a gradient (N,) and a matrix
+        (N, N): beside it data count for nothing."""
+        user, nv = self._search.constraints, len(v)
+        held = user.lower == user.upper
+        if not held.any():
+            return
+        value, slopes = user.evaluate(v)
+        slopes, off = slopes[held], (value - user.lower)[held]
+        weight = _FIRM * np.trace(matrix) / max(float((slopes**2).sum()), 1e-300)
+        gradient[:nv] += weight * slopes.T @ off
+        matrix[:nv, :nv] += weight * slopes.T @ slopes
 
     def _limits(self) -> tuple[Array, Array]:
         """Bounds (N,) of parameters, as they are printed, and of first states."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.errors import CasadiEngineError, NoValueError
+from casadi_engine.estimation.beside_optimum import RIVAL
 from casadi_engine.estimation.faulty_samples import wild_samples
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.followed import OTHERS, lost
@@ -92,12 +93,21 @@ def _from_other_starts(fit: Fit, again: Again, kept: Callable[[Fit, dict[str, An
     return _another(fit, again, kept, {"starts": _STARTS}, 1.0, {OTHERS: _STARTS})
 
 
+def has_rivals(fit: Fit) -> bool:
+    """True if several starts of a fit found another optimum that the data hardly tell from it."""
+    others = (one for one in fit.optima if one.status == "converged" and one.apart)
+    return fit.converged and any(one.cost <= fit.cost + RIVAL for one in others)
+
+
 def _is_bent(fit: Fit) -> bool:
     """True where an estimate rests on a bound; or, of a fit that looked at no other start, has no symmetric error."""
     errors = [fit.estimates[name] for name in fit.free if name in fit.estimates]
     if any(one.at_bound for one in errors):
         return True
     looked = "frequency bins" in str(fit.options.get("searched on", ""))
+    looked = looked or any(
+        "explained as well with" in words for words in fit.messages
+    )  # the other optimum is told
     bent = any(one.stderr is None and one.interval is not None for one in errors)
     return not looked and (bent or bool(fit.doubted))
 
@@ -149,5 +159,7 @@ def _another(
     except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):  # there is a fit
         return fit
     better = found.converged and (not fit.converged or merit(found) < merit(fit) - LOWER)
+    # others that the data hardly tell from it are to be told
+    better = better or (has_rivals(found) and merit(found) < merit(fit) + LOWER)
     best = kept(found, changes) if better else fit
     return replace(best, options={**best.options, **said})
