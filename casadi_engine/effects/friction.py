@@ -56,8 +56,10 @@ class _Rounded(Effect):
         found = narrow(courses, _math.inf)
         passed = found < _math.inf
         # scales are what a user took them for: a motion that is larger counts
-        size = max([port.typical(signal), *(float(np.abs(course).max()) for course in courses)])
-        found = share * (min(found, SPEED_WIDTH * size) if passed else rounding(port, None))
+        moved = max((float(np.abs(course).max()) for course in courses), default=0.0)
+        # what keeps its sign is far from the corner, however small it is in its unit
+        near = min(rounding(port, None), SPEED_WIDTH * moved if moved > 0 else _math.inf)
+        found = share * (min(found, SPEED_WIDTH * max(port.typical(signal), moved)) if passed else near)
         return replace(self, width=float(f"{found:.2g}"))  # type: ignore[type-var]
 
 

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 _WIDE = 0.15
 # Chi-squared above the lowest at which another optimum still counts: it has exp(-5) of the likelihood, and where there
 # is one there may be others that no start has met.
-RIVAL = 10.0
+_RIVAL = 10.0
 # Size of a residual over what an output varies by that is worse than a constant; fewest samples that say so.
 _WORSE, _FEW = 1.1, 8
 # Share of an output's variance beyond which a residual that is no noise is more than what the simulation follows.
@@ -46,7 +46,7 @@ def entries_of(search: Search, x: Array) -> Array:
 
 def rivals(search: Search, best: Attempt, errors: Uncertainty, optima: Sequence[Optimum]) -> list[Doubt]:
     """Other optima that the starts found and that the data hardly tell from the best."""
-    limit = best.cost + max(RIVAL, chi2_isf(0.05, search.problem.nv))
+    limit = best.cost + max(_RIVAL, chi2_isf(0.05, search.problem.nv))
     others = [one for one in optima if one.status == "converged" and one.apart and one.cost <= limit]
     found = []
     ways = "; ".join(f"{one.apart} at a cost {one.cost - best.cost:.2g} higher" for one in others[:3])
@@ -121,7 +121,7 @@ def unstable(errors: Uncertainty) -> list[Doubt]:
 def exchanged(search: Search, errors: Uncertainty) -> list[Doubt]:
     """What explains the data as well: parameters of one unit with their values exchanged, or other signs."""
     found = []
-    for twin in twins(search, errors, RIVAL):
+    for twin in twins(search, errors, _RIVAL):
         kind = "lost" if twin.higher < -_LOWER else "rival"
         if kind == "lost":
             text = (

@@ -22,6 +22,7 @@ from casadi_engine.estimation.corner_widths import follow_motion, from_wide_corn
 from casadi_engine.estimation.cut_short import GIVEN_UP, MANY, in_time
 from casadi_engine.estimation.faulty_samples import faults
 from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.followed import lost
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.late_sensors import begun_late, follow_delays
@@ -231,7 +232,7 @@ def _followed_up(
 
     def with_errors(found: Fit, changed: dict[str, Any]) -> Fit:
         """A fit that was made without its errors; made anew where it is not met from its optimum, or has rivals."""
-        if has_rivals(found):
+        if has_rivals(found) and not lost(found):
             return again(changed)
         there = {"parameters": found.parameters, "warm": found, "approach": "direct"}
         whole = again({"interval": found.options["interval"]} | there)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, late
+from casadi_engine.distributions import chi2_isf
 from casadi_engine.errors import CasadiEngineError, NoValueError
-from casadi_engine.estimation.beside_optimum import RIVAL
 from casadi_engine.estimation.faulty_samples import wild_samples
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.followed import OTHERS, lost
@@ -27,6 +27,8 @@ _WORTH = 20.0
 _STARTS, _SEVERAL = 8, 4
 # Seconds of a fit that is followed by others unasked.
 _QUICK = 5.0
+# Standard errors within which another optimum is in the interval of this one.
+_BEYOND = 2.0
 # Logarithm of the factor by which a parameter has left its start where another search is worth its time.
 _WAY = 1.0
 # What the option says then.
@@ -87,16 +89,23 @@ def _from_other_starts(fit: Fit, again: Again, kept: Callable[[Fit, dict[str, An
     """The fit, or a better one from other starts, of one that went far or to a bound and leaves more than noise, or
     whose likelihood is no quadratic, as where it has further optima, if that is quick."""
     more = any("is not white" in words and words.startswith("the residual of") for words in fit.messages)
-    asked = (more and is_elsewhere(fit)) or _is_bent(fit)
+    asked = ((more and is_elsewhere(fit)) or _is_bent(fit)) and not fit.options.get("neighbours")
     if not (asked and fit.timing["total"] < _QUICK) or wild_samples(fit) is not None:
         return fit
-    return _another(fit, again, kept, {"starts": _STARTS}, 1.0, {OTHERS: _STARTS})
+    return _another(fit, again, kept, {"starts": _STARTS}, 1.0, {OTHERS: _STARTS}, rivals=True)
 
 
 def has_rivals(fit: Fit) -> bool:
-    """True if several starts of a fit found another optimum that the data hardly tell from it."""
-    others = (one for one in fit.optima if one.status == "converged" and one.apart)
-    return fit.converged and any(one.cost <= fit.cost + RIVAL for one in others)
+    """True if several starts of a fit found another optimum that the data hardly tell from it, with a parameter beyond
+    its interval by the curvature."""
+    limit = fit.cost + chi2_isf(0.05, max(len(fit.free), 1))  # of the 95 % region
+    others = [one for one in fit.optima if one.status == "converged" and one.apart and one.cost <= limit]
+    errors = {name: fit.estimates[name].stderr or fit.estimates[name].quadratic or 0.0 for name in fit.free}
+    return fit.converged and any(
+        abs(one.values[name] - fit.values[name]) > _BEYOND * error
+        for one in others
+        for name, error in errors.items()
+    )
 
 
 def _is_bent(fit: Fit) -> bool:
@@ -142,9 +151,11 @@ def _another(
     times: float,
     said: dict[str, Any],
     least: float = _SECONDS,
+    *,
+    rivals: bool = False,
 ) -> Fit:
     """The fit, or that with changed arguments if it is better, in so many times what the fit took, and so many seconds
-    at least."""
+    at least; rivals : also if it is as good, and met others that the data hardly tell from it."""
     seconds = max(least, _SECONDS + times * fit.timing["total"])
     try:
         # of the processor, that the answer does not depend on what else the machine does
@@ -159,7 +170,6 @@ def _another(
     except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):  # there is a fit
         return fit
     better = found.converged and (not fit.converged or merit(found) < merit(fit) - LOWER)
-    # others that the data hardly tell from it are to be told
-    better = better or (has_rivals(found) and merit(found) < merit(fit) + LOWER)
+    better = better or (rivals and has_rivals(found) and merit(found) < merit(fit) + LOWER)
     best = kept(found, changes) if better else fit
     return replace(best, options={**best.options, **said})

@@ -49,6 +49,9 @@ def test_friction_is_narrowed_by_the_motion_at_its_port_unless_its_width_was_giv
         assert effect.narrowed(fast).width == 0.5
         given = type(effect)(width=0.7)
         assert given.narrowed(slow) is given
+    # a flow of 6e-5 m3/s that keeps its sign, of a state without a scale: a width of 0.005 made a line of its square
+    small = view_of("load", {"speed": 6e-5 + 1e-5 * np.sin(2 * np.pi * 3 * TIME)})
+    assert effects.QuadraticDrag().narrowed(small).width == pytest.approx(0.005 * 7e-5, rel=0.02)
     # a coupling's twist rate that is the same motion has the same width
     twisted = view_of("coupling", {"twist_rate": 2 * np.sin(2 * np.pi * 3 * TIME)})
     assert effects.CoulombFriction().narrowed(twisted).width == effects.CoulombFriction().narrowed(slow).width

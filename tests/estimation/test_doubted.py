@@ -1,5 +1,7 @@
 """What a fit prints of errors that its quadratic does not tell: along every direction, of first states, of ties."""
 
+import sys
+
 import casadi
 import numpy as np
 import pytest
@@ -33,8 +35,11 @@ def buried(phase):
     return b.model()
 
 
-def test_the_best_known_parameter_is_looked_along_too():
+def test_the_best_known_parameter_is_looked_along_too(monkeypatch):
     """The three directions that the data tell least of are the gains'."""
+    # other starts find other optima, which say the same of it
+    module = sys.modules["casadi_engine.estimation.estimate"]
+    monkeypatch.setattr(module, "looked_at_twice", lambda fit, *_: fit)
     truth = {f"y{k}": noisy(0 * TIME, 1.0, k) for k in range(4)}
     data = record(**truth, swing=noisy(0.3 * np.sin(40 * TIME + 0.5), 0.5, 9))
     start = {"t": 0.0, **{f"x{k}": 0.0 for k in range(4)}}

@@ -21,8 +21,8 @@ NOT_WHITE = ("the residual of r/y is not white (neighbours correlate by 0.9): th
 BINS = {"searched on": "16 of 200 frequency bins up to 3 Hz"}
 
 
-def optimum(cost, apart="a +30 %", status="converged"):
-    return SimpleNamespace(cost=cost, apart=apart, status=status)
+def optimum(cost, apart="a +30 %", status="converged", a=3.25):
+    return SimpleNamespace(cost=cost, apart=apart, status=status, values={"a": a})
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Found:
     @property
     def estimates(self):
         known = None if self.interval else 0.1
-        own = SimpleNamespace(at_bound=self.bound, stderr=known, interval=self.interval)
+        own = SimpleNamespace(at_bound=self.bound, stderr=known, interval=self.interval, quadratic=0.1)
         return dict.fromkeys(self.values, own)
 
     @property
@@ -230,6 +230,14 @@ def test_a_fit_far_from_its_start_is_searched_over_whole_records_too(changes, lo
             {"messages": (), "interval": (1.0, 3.0), "options": {**BINS, "approach": "direct", "starts": 1}},
             False,
         ),
+        (
+            {
+                "messages": (),
+                "doubted": ("a",),
+                "options": {"approach": "direct", "starts": 1, "neighbours": 2},
+            },
+            False,
+        ),
         ({"timing": {"total": 60.0}}, False),
         ({"converged": False}, False),
     ],
@@ -385,8 +393,9 @@ def test_a_search_that_ends_without_a_value_is_made_over_whole_records():
     ("others", "taken"),
     [
         ((optimum(52.0),), True),
-        ((optimum(65.0),), False),  # the data tell it
+        ((optimum(54.0),), False),  # the data tell it
         ((optimum(52.0, apart=""),), False),  # it is the same one
+        ((optimum(52.0, a=2.6),), False),  # it is in the interval: a first state has another sign
         ((optimum(52.0, status="not converged"),), False),
         ((), False),
     ],
@@ -395,6 +404,6 @@ def test_other_optima_that_the_data_hardly_tell_are_told(others, taken):
     """Of three relaxations the lowest optimum was found, and 12 of 18 intervals of a share held it: the others within
     1 to 3 of chi-squared were not told."""
     bent = AWAY | {"model": SimpleNamespace(linear=object()), "messages": (), "doubted": ("a",)}
-    found = Found(50.0, optima=(optimum(50.0, apart=""), *others), percent=41.0)
+    found = Found(50.0, optima=(optimum(50.0, apart=""), *others), percent=41.0, values={"a": 2.5})
     best = looked_at_twice(Found(50.0, **bent), lambda changed: found)
     assert (best.percent == 41.0) is taken
