@@ -18,6 +18,8 @@ SPEED_WIDTH = 5e-3
 RATE_WIDTH = 1.4e-4
 # Beyond so many times its fading speed a ten-thousandth of the friction is left, and within a third of it nine tenths.
 _REACH = 3.03
+# Share of a scale below which a motion has another size than the scale says.
+_OTHER_SIZE = 0.1
 # The least fading speed that is looked for, as a share of the largest speed: what fades sooner acts in an instant.
 _SLOWEST = 1 / 100
 _FADING = Grid(0.25, 2.5, steps=8, log=True, of="speed", unit="rad/s", description="fading speed")
@@ -58,7 +60,7 @@ class _Rounded(Effect):
         # scales are what a user took them for: a motion that is larger counts
         moved = max((float(np.abs(course).max()) for course in courses), default=0.0)
         # what keeps its sign is far from the corner, however small it is in its unit
-        near = min(rounding(port, None), SPEED_WIDTH * moved if moved > 0 else _math.inf)
+        near = SPEED_WIDTH * moved if 0 < moved < _OTHER_SIZE * port.typical(signal) else rounding(port, None)
         found = share * (min(found, SPEED_WIDTH * max(port.typical(signal), moved)) if passed else near)
         return replace(self, width=float(f"{found:.2g}"))  # type: ignore[type-var]
 

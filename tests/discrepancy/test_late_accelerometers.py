@@ -72,6 +72,7 @@ def test_one_that_is_late():
     assert abs(delay.value - 0.05) < 4 * delay.stderr < 1e-3
 
 
+@pytest.mark.slow
 def test_one_that_is_behind_beside_a_drag_that_it_shows():
     answer, effects = found(behind=0.05, drag=0.15)
     assert (set(effects), answer.confirmed) == ({"sensor_acc.sensor_lag", "pivot.quadratic_drag"}, True)
