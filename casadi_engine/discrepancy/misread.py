@@ -1,9 +1,9 @@
 """Data that are not what they are said to be: an input with its sign turned, numbers in another unit, another clock.
 
 Where no fit explains an output, the model is fitted to the records as they would be if one channel, or their time, had
-been stated wrong in one of the usual ways (``ways_to_read``). A way that makes the fit good is told before any effect
-is looked for: a search would spend its time on what no effect can mend. Where a search has found no answer that holds,
-the ways are looked at again.
+been stated wrong in one of the usual ways (``ways_to_read``). A way that makes the fit good and leaves noise alone is
+told before any effect is looked for: a search would spend its time on what no effect can mend. One that leaves more is
+told beside what a search finds. Where that has found no answer that holds, the ways are looked at again.
 """
 
 from __future__ import annotations

@@ -126,7 +126,7 @@ def _and_more(repair: Repair) -> str:
     if repair.stopped:
         said = ", and more that was not searched to the end"
     elif delay is not None:
-        said = f", and more, which may be no more than what its law leaves where {delay.at[6:]} jumps"
+        said = f", and more is left, which may be the approximation of the delay where {delay.at[6:]} jumps"
     else:
         said = ", and more that no effect of the library names"
     return said + (", or a law that the library lacks, which was not tried" if laws_were_cut(repair) else "")

@@ -114,9 +114,8 @@ def _is_bent(fit: Fit) -> bool:
     if any(one.at_bound for one in errors):
         return True
     looked = "frequency bins" in str(fit.options.get("searched on", ""))
-    looked = looked or any(
-        "explained as well with" in words for words in fit.messages
-    )  # the other optimum is told
+    # or the other optimum is told
+    looked = looked or any("explained as well with" in words for words in fit.messages)
     bent = any(one.stderr is None and one.interval is not None for one in errors)
     return not looked and (bent or bool(fit.doubted))
 

@@ -40,6 +40,6 @@ def test_what_a_delay_leaves_where_its_input_jumps_is_no_further_effect(repaired
     late = replace(one, name="input_delay", at="input_T_load", sentence="a delay of input_T_load")
     more = replace(repaired, unknown=Unknown("an unknown torque", {}))
     assert "and more that no effect of the library names" in headline(more)
-    assert "and more, which may be no more than what its law leaves where T_load jumps" in headline(
+    assert "and more is left, which may be the approximation of the delay where T_load jumps" in headline(
         replace(more, effects=(late,))
     )
