@@ -27,6 +27,7 @@ from casadi_engine.discrepancy.repaired import (
     UNTOLD,
     UNTRIED,
     in_its_place,
+    more_probable,
 )
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
@@ -110,13 +111,30 @@ def headline(repair: Repair) -> str:
     if any(is_early(one) for one in repair.effects):
         doubt += ", or a memory that the model lacks (no sensor is early)"
     law = in_its_place(repair.unknown, repair.effects)
-    if repair.unknown and (law or repair.unknown.odds is not None):
+    first = law_leads(repair)
+    if repair.unknown and not first and (law or repair.unknown.odds is not None):
         doubt += f", or {'rather ' if law else ''}a law that the library lacks"
-    elif repair.unknown and not is_of_rounding(repair):
+    elif repair.unknown and not first and not is_of_rounding(repair):
         doubt += _and_more(repair)
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     hidden = "; the residual is coloured, and more may hide in it" if _may_hide_more(repair) else ""
-    return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}{hidden}"
+    fresh = f"{sure[repair.confirmed]}{_on_fresh(repair)}{hidden}"
+    if first:
+        names = " and ".join(f"{one.name} at {one.at}" for one in repair.effects)
+        lead = (
+            f"something is missing, and a law that the library lacks is far more probable{_law_alone(repair)}"
+        )
+        return f"{lead}; the nearest of the library: {names}{tried}{doubt}, {fresh}"
+    return f"{_named(repair)}{tried}{doubt}, {fresh}"
+
+
+def law_leads(repair: Repair) -> bool:
+    """True where a law of no name is far more probable than effects that act elsewhere: these are nearest then, and not
+    what it is by another name."""
+    unknown = repair.unknown
+    if unknown is None or unknown.course is None or not more_probable(unknown):
+        return False
+    return all(unknown.port not in {one.at, *(m.at for m in one.members)} for one in repair.effects)
 
 
 def _and_more(repair: Repair) -> str:
@@ -307,6 +325,8 @@ def next_step(repair: Repair) -> str:
         listed = "use the model; larger effects than those listed are excluded"
         return f"{listed}{', others are not' if may_hide(repair) else ''}{_on_fixed(repair)}"
     if repair.verdict == "unnamed":
+        return _without_name(repair)
+    if law_leads(repair):
         return _without_name(repair)
     if repair.verdict == "class" and any(len(one.members) > 1 for one in repair.effects):
         return _of_class(repair)
