@@ -47,6 +47,7 @@ from casadi_engine.discrepancy.claim import (
     reason_to_withdraw,
 )
 from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
+from casadi_engine.discrepancy.common_delay import with_other_cause
 from casadi_engine.discrepancy.confirmation import CHANCE, PairedGain
 from casadi_engine.discrepancy.detectable import not_found
 from casadi_engine.discrepancy.elsewhere_families import unused_everywhere
@@ -441,7 +442,7 @@ class Answer:
             refitter = self.search.refits.refitter
             done = self._in_time("all records", lambda: with_joint_fit(done, refitter)) or done
         done = held_to_rivals(held_to_what_fresh_data_tell(held_to_fresh_data(done)))
-        return held_to_seen_events(done, last.effects)
+        return held_to_seen_events(with_other_cause(done), last.effects)
 
     def _is_far(self, last: Station) -> bool:
         """See ``law_refit.is_far``."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -19,6 +21,10 @@ if TYPE_CHECKING:
     from casadi_engine.model import Model
 
 _DELAY, _LAG = "sensor_delay", "sensor_lag"
+# What is said where fresh data tell a late sensor from a late input.
+_OF_BOTH = re.compile(
+    r"fresh data tell (sensor|input)_(delay|lag) at \S+ from (?!\1)(sensor|input)_(delay|lag) "
+)
 _CONSTANT, _SAME = "constant_torque", " does the same"
 # Standard errors within which times are one.
 _ALIKE = 3.0
@@ -75,6 +81,26 @@ def late_input(repair: Repair) -> str:
             many = "The input acts" if len(ports) == 1 else "All inputs act"
             return f"{many} late: where {which} {what} by {time}, the data are the same"
     return ""
+
+
+def other_cause(repair: Repair) -> str:
+    """What may be late in place of what was found to be, one clause; "" where nothing else shows the same."""
+    if common_delay(repair):
+        inputs = [variable.name for variable in repair.model.inputs]
+        return f"{inputs[0]} acts late" if len(inputs) == 1 else "the inputs act late"
+    if late_input(repair):
+        return "the sensors are late"
+    return ""
+
+
+def with_other_cause(repair: Repair) -> Repair:
+    """The repair as a class where inputs may be late in place of sensors, without words by which fresh data tell one
+    from the other: what they tell is how a record begins, or how well the law of a delay holds it."""
+    if not repair.effects or not other_cause(repair):
+        return repair
+    kept = [words for words in repair.messages if not _OF_BOTH.match(words)]
+    verdict = "class" if repair.verdict == "named" else repair.verdict
+    return replace(repair, verdict=verdict, messages=tuple(kept))
 
 
 def _whole_times(repair: Repair, name: str, ports: set[str], clock: Clock) -> str:

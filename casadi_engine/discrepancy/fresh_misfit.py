@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_engine.discrepancy.confirmation import Gap, share_closed
-from casadi_engine.discrepancy.repaired import LAWS_CUT, REFUSED, UNCONFIRMED, Unknown, in_its_place
+from casadi_engine.discrepancy.repaired import IN_PART, LAWS_CUT, REFUSED, UNCONFIRMED, Unknown, in_its_place
 from casadi_engine.discrepancy.selection import numbers_of
 from casadi_engine.discrepancy.withdrawal import withdrawn
 from casadi_engine.distributions import f_sf
@@ -346,9 +346,12 @@ def _of_sensors(repair: Repair) -> bool:
 
 
 def _why(repair: Repair) -> str:
-    """Why effects are withdrawn that fresh data do not confirm: only a loss beyond chance contradicts them."""
+    """Why effects are withdrawn that fresh data do not confirm: only a loss beyond chance contradicts them, and a gain
+    beyond it is no lack of one."""
     gain = None if repair.gaps is None else repair.gaps.gain_per_cycle
-    return REFUSED if gain is not None and gain.refused else UNCONFIRMED
+    if gain is not None and gain.refused:
+        return REFUSED
+    return IN_PART if gain is not None and gain.confirmed else UNCONFIRMED
 
 
 def _held(repair: Repair) -> Repair:

@@ -42,6 +42,7 @@ def library_candidates(
     free = frozenset(name.partition("@")[0] for name in null.parameters)
     # of all records together: a grid that followed each one's motion would make one effect several
     motion = partial(courses, [record.path for record in null.records])
+    settled: dict[tuple[str, str], Effect] = {}
     for record, experiment in zip(null.records, data, strict=True):
         numbers = dict(zip(null.model.parameter_names, record.path.p.tolist(), strict=True))
         every = candidates(
@@ -55,6 +56,7 @@ def library_candidates(
             free=free,
             again=again,
             at=at,
+            settled=settled,
         )
         for number, made in enumerate(every):
             placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Verdict = Literal["named", "class", "unnamed", "nothing missing"]
 # Why effects that were found are no answer.
 REFUSED, UNCONFIRMED = "contradicted by fresh data", "not confirmed by fresh data"
+IN_PART = "closing the gap of fresh data in part alone"
 TOO_LITTLE, BEHIND_LAW = "closing too little of the gap", "less probable than an unknown law"
 UNJUDGED = "leaving more than noise, and not held against fresh data before the time was up"
 BEHIND_OTHERS = "far less probable than what could not be fitted to its end"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.checked_errors import is_of_rounding
-from casadi_engine.discrepancy.common_delay import common_delay
+from casadi_engine.discrepancy.common_delay import common_delay, other_cause
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh_misfit import (
     FRESH,
@@ -108,6 +108,8 @@ def headline(repair: Repair) -> str:
     doubt = f", or more probably {' or '.join(likely)}" if likely else ""
     if others:
         doubt += f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}"
+    if other := other_cause(repair):
+        doubt += f", or {other} by as much"
     if any(is_early(one) for one in repair.effects):
         doubt += ", or a memory that the model lacks (no sensor is early)"
     law = in_its_place(repair.unknown, repair.effects)
@@ -340,6 +342,8 @@ def next_step(repair: Repair) -> str:
         return _unconfirmed(repair)
     if repair.confirmed is False:
         return "test it on more fresh data before you use it: those that were given do not confirm it"
+    if other_cause(repair):
+        return "decide by what you know of the system which of both is late: no record of this kind tells them apart"
     return f"go on with repair.fit, the repaired model: print(repair.fit){_on_fixed(repair)}"
 
 

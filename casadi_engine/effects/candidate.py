@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.effects.combustion import CYCLE
-from casadi_engine.effects.protocol import Amplitude, Effect, check_effect
+from casadi_engine.effects.protocol import Amplitude, Effect, check_effect, with_settings
 from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -186,6 +186,7 @@ def candidates(
     free: Collection[str] | None = None,
     again: bool = False,
     at: str | None = None,
+    settled: dict[tuple[str, str], Effect] | None = None,
 ) -> tuple[Candidate, ...]:
     """Return all candidates of effects at all ports of a model, over the grids of their nuisance parameters.
 
@@ -200,6 +201,8 @@ def candidates(
     again : True for effects that the model has already at a port too, as it has them a second time: an event that
     happens elsewhere. Else they are left out there. Ports that lack a signal which the law reads are left out always.
     at : the name of the one port that is asked for, None for all
+    settled : (name of an effect, port) -> the effect as the first record made it, whose settings `alike` count for all
+    records; this call adds to it
     """
     record = arriving(model, record)
     vector = model.parameter_vector(parameters)
@@ -217,7 +220,9 @@ def candidates(
                 continue
             try:
                 view = PortView(model, port, courses, effect=effect.name, free=free)
-                made, words = _at_port(model, effect, port, view, record, numbers, sharp, known, again)
+                made, words = _at_port(
+                    model, effect, port, view, record, numbers, sharp, known, again, settled
+                )
             except EffectError as fault:
                 if skipped is None:
                     raise
@@ -261,6 +266,7 @@ def _at_port(
     sharp: bool,
     known: Known | None,
     again: bool,
+    settled: dict[tuple[str, str], Effect] | None,
 ) -> tuple[list[Candidate], str]:
     """The candidates of one effect at one port, or why there are none; EffectError where a method of it fails."""
     try:
@@ -268,6 +274,9 @@ def _at_port(
         if words:
             return [], words
         own = effect.fitted(view, record, numbers)
+        if settled is not None and effect.alike:
+            first = settled.setdefault((effect.name, port.name), own)
+            own = with_settings(own, {name: getattr(first, name) for name in effect.alike})
         # corners as sharp as the motion passes them; the candidate keeps the effect whose widths are still open
         sharper = own.narrowed(view) if view.has_courses else own
         points = own.choices(view, grid_values(own, view, record, numbers))

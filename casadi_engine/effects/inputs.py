@@ -78,6 +78,7 @@ class InputPath(Effect):
     name = "input_path"
     attaches = ("path",)
     kin = ("input_gain", "constant_torque", "viscous_friction")
+    alike = ("about",)
     sentence = "the input {port}"
     amplitude = Amplitude("gain", unit="N m/rad")
 
@@ -116,6 +117,7 @@ class _Behind(Effect):
     first: float = 0.0
 
     attaches = ("input",)
+    alike = ("span",)
     amplitude = Amplitude("share", unit="1", min=0)
     time: ClassVar[str] = ""
     shortest: ClassVar[float] = SHORTEST

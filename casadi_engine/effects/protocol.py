@@ -177,6 +177,8 @@ class Effect:
     retards : True if the amplitude is the time [s] by which a sensor is late: whole samples of it are then read off
         the sensor's times, and the law holds the rest
     amplitude : Amplitude        nuisance : name -> Grid
+    alike : settings that `fitted` reads off the first of several records for all of them, as they are a part of what
+        the amplitude or the grids stand for
 
     >>> class FanTorque(Effect):
     ...     name, attaches, kin = "fan_torque", ("inertia",), ("quadratic_drag", "coulomb_friction")
@@ -206,6 +208,7 @@ class Effect:
     retards: ClassVar[bool] = False
     amplitude: ClassVar[Amplitude]
     nuisance: ClassVar[Mapping[str, Grid]] = MappingProxyType({})
+    alike: ClassVar[tuple[str, ...]] = ()
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """What the effect adds at the port: an SX scalar, or a `Law`.

@@ -71,6 +71,7 @@ class SensorDrift(Effect):
     name = "sensor_drift"
     attaches = ("sensor",)
     kin = ("sensor_offset", "sensor_gain", "constant_torque")
+    alike = ("span", "first")
     sentence = "a drift of {port} by its amount within a record"
     amplitude = Amplitude("drift", unit=None)
 
@@ -135,6 +136,7 @@ class SensorLag(Effect):
     name = "sensor_lag"
     attaches = ("sensor",)
     kin = ("sensor_delay", "sensor_gain")
+    alike = ("span",)
     sentence = "a lag of {port}"
     amplitude = Amplitude("share", unit="1", min=0)
 

@@ -27,6 +27,7 @@ class _Storage(Effect):
     first: float = 0.0
     reach: float = 0.0
 
+    alike = ("span",)
     signal: ClassVar[str] = ""
     stored: ClassVar[bool] = False
 

@@ -76,6 +76,7 @@ class Overflow(Effect):
     name = "overflow"
     attaches = ("pipe",)
     kin = ("transfer",)
+    alike = ("most",)
     sentence = "an overflow between {port}"
 
     @property

@@ -1,12 +1,19 @@
 """Sensors that are all late by one time are where an input acts late, and this is said."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import casadi as ca
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.common_delay import as_an_input, common_delay, late_input
+from casadi_engine.discrepancy.common_delay import (
+    as_an_input,
+    common_delay,
+    late_input,
+    other_cause,
+    with_other_cause,
+)
 from casadi_engine.effects import LoadStep
 from casadi_engine.effects.protocol import Attachment
 from casadi_engine.estimation.fit import Estimate
@@ -152,3 +159,27 @@ def test_an_input_that_acts_late_is_a_sensor_that_is_behind(found, said):
     """A lag of a tachometer was named as one of the pressure, confirmed, without a word: one noise of six does that."""
     assert said in late_input(found)
     assert bool(late_input(found)) == bool(said)
+
+
+@pytest.mark.parametrize(
+    ("found", "verdict", "kept"),
+    [
+        (late((0.0193, 0.0003), outputs=1), "class", False),
+        (acting_late("input_delay", bends=True), "class", False),
+        (late((0.0193, 0.0003)), "named", True),  # the second sensor is in time
+    ],
+)
+def test_what_another_cause_shows_as_well_is_a_class(found, verdict, kept):
+    """ "The data are the same" stood above "fresh data tell sensor_delay from input_delay: 36 times as probable"."""
+    told = "fresh data tell sensor_delay at sensor_y0 from input_delay at input_u: with them it is 36 times as probable"
+    other = "fresh data tell sensor_delay at sensor_y0 from sensor_lag at sensor_y0: with them it is 9 times"
+    made = dataclasses.make_dataclass("Found", ["model", "effects", "verdict", "messages"])
+    again = with_other_cause(made(found.model, found.effects, "named", (told, other)))
+    assert again.verdict == verdict
+    assert again.messages == ((told, other) if kept else (other,))
+
+
+def test_which_other_cause_is_said_in_a_clause():
+    assert other_cause(late((0.0193, 0.0003), outputs=1)) == "u acts late"
+    assert other_cause(acting_late("input_delay", bends=True)) == "the sensors are late"
+    assert other_cause(late((0.0193, 0.0003))) == ""

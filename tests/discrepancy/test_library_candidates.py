@@ -31,3 +31,27 @@ def test_a_fast_and_a_slow_record_share_the_fading_speeds(sizes):
     assert len(speeds) == 8
     assert max(speeds) == pytest.approx(3.03 * fastest, rel=0.02)
     assert all(set(one.direction) == {"first", "second"} for one in found)
+
+
+def test_records_of_two_lengths_have_the_same_effect():
+    """A photometer's drift over each record's own length was no drift by time, and lost to a constant rate."""
+    model = ce.one_inertia()
+    long, short = record("long", 30.0, model), record("short", 20.0, model).between(0.0, 1.5)
+    drifting = [
+        ce.Experiment.from_arrays(
+            one.name,
+            time=one["T"].time,
+            units={"T": "N m", "omega": "rad/s"},
+            T=one["T"].values,
+            omega=one["omega"].values + 0.4 * one["T"].time / TIME[-1],
+        )
+        for one in (long, short)
+    ]
+    fit = ce.estimate(model, drifting, noise=ce.Noise(omega=0.01), progress=False)
+    effects = [ce.effects.SensorDrift(), ce.effects.SensorLag(), ce.effects.InputLag()]
+    found = library_candidates(null_model(fit), drifting, effects)
+    assert all(set(one.direction) == {"long", "short"} for one in found)
+    assert {one.effect for one in found} == {"sensor_drift", "sensor_lag", "input_lag"}
+    screened = ce.discrepancy.screen(fit, effects=["sensor_drift"])
+    assert screened.scores.amplitude[0] == pytest.approx(0.4, abs=0.01)
+    assert screened.scores.error[0] < 0.01

@@ -549,7 +549,10 @@ def test_errors_of_sensors_are_named_where_fresh_data_confirm_them(repaired, at,
     one = replace(
         repaired.effects[0], at=at, name="sensor_offset" if at != "coupling" else "coulomb_friction"
     )
-    found = held_to_fresh_data(replace(repaired, effects=(one,), confirmed=confirmed, unknown=None))
+    gaps = replace(repaired.gaps, gain_per_cycle=replace(repaired.gaps.gain_per_cycle, confirmed=confirmed))
+    found = held_to_fresh_data(
+        replace(repaired, effects=(one,), confirmed=confirmed, unknown=None, gaps=gaps)
+    )
     assert (found.verdict == repaired.verdict) == named
     if not named:
         assert (found.verdict, found.effects) == ("unnamed", ())

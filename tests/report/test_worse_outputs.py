@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
-from casadi_engine.discrepancy.repaired import UNCONFIRMED
+from casadi_engine.discrepancy.repaired import IN_PART, UNCONFIRMED
 
 
 @pytest.mark.parametrize(("size", "told"), [(1.2, True), (1.05, False)])
@@ -33,6 +33,9 @@ def test_an_output_that_is_further_off_on_fresh_data_is_not_repaired(repaired, a
     assert bool(held.effects) == named
     if not named:
         assert held.verdict == "unnamed"
+        assert [one.why_withdrawn for one in held.withdrawn] == [IN_PART]
+        gaps = replace(made.gaps, gain_per_cycle=replace(made.gaps.gain_per_cycle, confirmed=False))
+        held = held_to_fresh_data(replace(made, gaps=gaps))  # the gain is no more than chance makes
         assert [one.why_withdrawn for one in held.withdrawn] == [UNCONFIRMED]
         words = "what it leaves of omega there is more than without it"
         assert held.unknown.sentence.endswith(words)
