@@ -124,14 +124,14 @@ class SensorLag(Effect):
     is slow beside it.
 
     span : the least and the largest time constant [s]; None for half a sample to a quarter of the records
-    first : s where a record begins, in the unit of the output
+    first : s where a record begins, in the unit of the output; None takes what the record shows first, 0 without one
 
     >>> SensorLag().describe("sensor_T_out")
     'a lag of sensor_T_out'
     """
 
     span: tuple[float, float] | None = None
-    first: float = 0.0
+    first: float | None = None
 
     name = "sensor_lag"
     attaches = ("sensor",)
@@ -152,7 +152,8 @@ class SensorLag(Effect):
         if name not in record:
             return self
         seen = record[name].values[record[name].mask]
-        first = self.first or (float(seen[0]) if len(seen) else 0.0)
+        shown = float(seen[0]) if len(seen) else 0.0
+        first = shown if self.first is None else self.first
         return replace(self, first=first, span=self.span or time_constants(record[name].time))
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
@@ -161,7 +162,8 @@ class SensorLag(Effect):
         behind = port.state("behind")
         if port.shows_at_once or not port.has("rate"):
             return Law(
-                p.share * (behind - port.value), {"behind": (self.first, (port.value - behind) / p.time)}
+                p.share * (behind - port.value),
+                {"behind": (self.first or 0.0, (port.value - behind) / p.time)},
             )
         return Law(p.share * behind, {"behind": (0.0, -port.rate - behind / p.time)})
 

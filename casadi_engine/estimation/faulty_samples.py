@@ -92,8 +92,9 @@ def wild_samples(fit: Fit, *, tails: bool = False) -> str | None:
 
 
 def at_its_limit(fit: Fit) -> str | None:
-    """What to say where an output comes back to its largest or least value exactly, though it does not read in steps:
-    its sensor is at its limit there, which no effect of the model is. None where there is none."""
+    """What to say where an output comes back to its largest or least value exactly, or stays there for long beside
+    noise elsewhere, though it does not read in steps: its sensor is at its limit there, which no effect of the model
+    is. None where there is none."""
     found, cure = [], ""
     for record, traces in fit.traces.items():
         for output, trace in traces.items():
@@ -108,7 +109,10 @@ def at_its_limit(fit: Fit) -> str | None:
                 times = int(there[0]) + int(np.count_nonzero(~there[:-1] & there[1:]))
                 # at rest a sensor reads 0 exactly, which is no limit
                 least = max(_LIMITED, _PART * len(y), _OFTEN * (usual - 1))
-                if limit != 0 and times >= _TIMES and there.sum() >= least:
+                if limit == 0 or there.sum() < least:
+                    continue
+                row = None if times >= _TIMES else _longest_row(trace)
+                if times >= _TIMES or (row is not None and trace.measured[row[0]] == limit):
                     found.append(
                         f"{output} of {record} reads {limit:.6g} in {int(there.sum())} samples and never {side}"
                     )
@@ -127,7 +131,7 @@ def stands_still(fit: Fit) -> str | None:
     found, cure = [], ""
     for record, traces in fit.traces.items():
         for output, trace in traces.items():
-            row = _longest_row(trace)
+            row = _longest_row(trace, moving=True)
             if row is None:
                 continue
             time = trace.time[row]
@@ -148,8 +152,9 @@ def _left_out(output: str) -> str:
     return f'with empty cells in their file or record.masked("{output}", keep), keep False there'
 
 
-def _longest_row(trace: Trace) -> Index | None:
-    """Numbers of the samples of the longest row of equal ones, where no machine at rest is."""
+def _longest_row(trace: Trace, *, moving: bool = False) -> Index | None:
+    """Numbers of the samples of the longest row of equal ones, where there is noise elsewhere; moving : where no
+    machine at rest is."""
     there = np.flatnonzero(trace.mask)
     y = trace.measured[there]
     if len(y) < 2 * _ROW or step_of(y) is not None:
@@ -167,8 +172,8 @@ def _longest_row(trace: Trace) -> Index | None:
     turns = twice[:-1] * twice[1:]
     if not np.mean(turns[np.isfinite(turns)] < 0) > _NOISY:
         return None
-    moved = float(np.ptp(trace.simulated[there[first:last]]))
-    return there[first:last] if moved > _MEANWHILE * noise else None
+    row = there[first:last]
+    return row if not moving or float(np.ptp(trace.simulated[row])) > _MEANWHILE * noise else None
 
 
 def _wild(trace: Trace, most: float) -> Index:

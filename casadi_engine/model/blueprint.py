@@ -13,6 +13,7 @@ import casadi as ca
 from casadi_engine.effects.protocol import PORT_KINDS
 from casadi_engine.errors import ModelError
 from casadi_engine.experiment.units import NOT_STATED
+from casadi_engine.model.constants import constants
 from casadi_engine.model.declarations import ParameterDeclaration, Port, Ports, Variable
 from casadi_engine.model.declared_units import (
     check_crank_angle,
@@ -433,6 +434,13 @@ def _scalar(what: str, expression: Any) -> Any:
             seen=f"{type(expression).__name__} {getattr(expression, 'shape', '')}".strip(),
             allowed="a number, or a scalar CasADi SX expression of the symbols that the blueprint returned",
             cure="write one equation for each quantity",
+        )
+    if any(map(math.isnan, constants(expression))):
+        raise ModelError(
+            f"{what} holds a constant that is no number",
+            seen="nan",
+            allowed="numbers, and symbols that the blueprint returned",
+            cure="write casadi.sin(x) in place of math.sin(x), which is nan of any symbol; or look for a division by 0",
         )
     return expression if expression.is_dense() else ca.densify(expression)
 

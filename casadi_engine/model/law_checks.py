@@ -14,6 +14,7 @@ import numpy as np
 from casadi_engine.effects.protocol import Law
 from casadi_engine.errors import EffectError
 from casadi_engine.experiment.units import unit_words
+from casadi_engine.model.constants import constants
 from casadi_engine.model.declarations import Port
 from casadi_engine.model.port_view import PortView
 
@@ -121,7 +122,7 @@ def _scalar(what: str, value: Any) -> Any:
             allowed="a scalar expression of the port's signals and the parameters",
             cure="return one torque, or one change of the port's value",
         )
-    if not _is_finite(value):
+    if not all(map(math.isfinite, constants(value))):
         raise EffectError(
             f"{what} is not a number",
             seen="a constant in it that is nan or infinite",
@@ -129,17 +130,6 @@ def _scalar(what: str, value: Any) -> Any:
             cure="look for a division by 0, or the root or logarithm of a negative constant, in the method law",
         )
     return ca.densify(value)
-
-
-def _is_finite(value: Any) -> bool:
-    """False if a constant of the expression is no finite number."""
-    function = ca.Function("value", ca.symvar(value), [value])
-    constants = (
-        function.instruction_constant(k)
-        for k in range(function.n_instructions())
-        if function.instruction_id(k) == ca.OP_CONST
-    )
-    return all(math.isfinite(float(constant)) for constant in constants)
 
 
 def check_symbols(model: Model, terms: Sequence[Term]) -> None:

@@ -220,6 +220,8 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
         f"the parameters were found from the measurement of {name}: it tells nothing of fresh data"
         for name in seen
     ]
+    if held is fit:
+        said.append("these are the data of the fit itself: they tell nothing of fresh data")
     if held is not fit and not held.converged:
         said.append(
             f"the initial states were not found on these data: {held.status}; the numbers are of that point"

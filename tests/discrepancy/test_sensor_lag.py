@@ -159,6 +159,13 @@ def test_a_record_too_short_for_a_lag_keeps_the_usual_range():
     assert effect.fitted(SimpleNamespace(name="sensor_y"), long, {}).span == (1.0, 50.0)
 
 
+@pytest.mark.parametrize(("given", "first"), [(None, 7.0), (0.0, 0.0), (2.5, 2.5)])
+def test_what_a_sensor_shows_first_is_taken_where_nothing_was_given(given, first):
+    record = ce.Experiment.from_arrays("run", time=np.arange(9) * 1.0, units={"y": "1"}, y=np.arange(9) + 7.0)
+    effect = ce.effects.SensorLag(first=given)
+    assert effect.fitted(SimpleNamespace(name="sensor_y"), record, {}).first == first
+
+
 def shunted():
     """A coil behind a resistor: the voltage across both shows the current's state and the input at once, as a share."""
     b = ce.Blueprint("shunted")

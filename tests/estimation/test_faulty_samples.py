@@ -109,6 +109,18 @@ def test_a_sensor_that_stands_still_is_named():
     assert 'record.masked("y", keep), keep False there' in said
 
 
+@pytest.mark.parametrize(("noise", "told"), [(0.3, True), (0.0, False)])
+def test_one_long_stay_at_a_limit_is_named_beside_noise(noise, told):
+    """Two thirds of a record read 1.2 K exactly, and the fit said no more than that its residual is not white."""
+    level = 20.0 * (1 - np.exp(-T))
+    y = np.minimum(level + noise * np.random.default_rng(0).standard_normal(len(T)), 12.0)
+    trace = Trace(T, y, np.ones(len(T), dtype=bool), np.minimum(level, 12.0))
+    said = at_its_limit(SimpleNamespace(traces={"run": {"y": trace}}))
+    assert (said is not None) is told
+    if told:
+        assert said.startswith(f"y of run reads 12 in {int((y == 12).sum())} samples and never more")
+
+
 def test_a_machine_at_rest_does_not_stand_still_for_its_sensor():
     """Without noise, and in a sensor's steps, a machine that friction holds reads one number too."""
     held = 3 * np.sin(2 * np.pi * 0.7 * np.minimum(T, 1.5))

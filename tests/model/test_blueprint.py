@@ -280,6 +280,16 @@ def test_equations_must_be_scalar(expression):
     assert "do: write one equation for each quantity" in str(caught.value)
 
 
+def test_constants_that_are_no_numbers_are_refused():
+    """The sine of Python's math module of a symbol was nan, and the model said to be linear."""
+    b, x, _ = small()
+    with pytest.raises(ModelError, match="the ode of x holds a constant that is no number") as caught:
+        b.ode("x", math.nan * ca.cos(x))
+    assert "do: write casadi.sin(x) in place of math.sin(x)" in str(caught.value)
+    with pytest.raises(ModelError, match="the output y holds a constant"):
+        b.output("y", x + math.sin(x))
+
+
 def test_numbers_are_equations_too():
     b, x, _ = small()
     b.ode("x", 1.5)
