@@ -27,6 +27,8 @@ _WIDE = 0.15
 # Chi-squared above the lowest at which another optimum still counts: it has exp(-5) of the likelihood, and where there
 # is one there may be others that no start has met.
 _RIVAL = 10.0
+# Standard errors within which the end of another search is the same optimum, reached less exactly along a valley.
+_BESIDE = 0.5
 # Size of a residual over what an output varies by that is worse than a constant; fewest samples that say so.
 _WORSE, _FEW = 1.1, 8
 # Share of an output's variance beyond which a residual that is no noise is more than what the simulation follows.
@@ -45,18 +47,29 @@ def entries_of(search: Search, x: Array) -> Array:
 
 
 def rivals(search: Search, best: Attempt, errors: Uncertainty, optima: Sequence[Optimum]) -> list[Doubt]:
-    """Other optima that the starts found and that the data hardly tell from the best."""
+    """Other optima that the starts found, the data hardly tell from the best, and the errors do not hold anyway."""
     limit = best.cost + max(_RIVAL, chi2_isf(0.05, search.problem.nv))
-    others = [one for one in optima if one.status == "converged" and one.apart and one.cost <= limit]
+    size = np.sqrt(np.maximum(np.diag(errors.covariance.matrix)[: search.problem.nv], 0.0))
+    places = {
+        id(one): search.coordinates.of(np.array([one.values[name] for name in search.pmap.free]))
+        for one in optima
+        if one.status == "converged" and one.apart and one.cost <= limit
+    }
+    others = [
+        one
+        for one in optima
+        if id(one) in places and (np.abs(places[id(one)] - errors.v) > _BESIDE * size).any()
+    ]
     found = []
-    ways = "; ".join(f"{one.apart} at a cost {one.cost - best.cost:.2g} higher" for one in others[:3])
+    ways = "; ".join(
+        f"{one.apart} at a cost {max(one.cost - best.cost, 0.0):.2g} higher" for one in others[:3]
+    )
     text = (
         f"{len(others)} other optim{'a explain' if len(others) > 1 else 'um explains'} the data as well: {ways}; "
         f"the errors are not known, {CALL}"
     )
     for one in others:
-        there = search.coordinates.of(np.array([one.values[name] for name in search.pmap.free]))
-        found.append(Doubt("rival", text, _with_states(errors, there)))
+        found.append(Doubt("rival", text, _with_states(errors, places[id(one)])))
     return found
 
 
