@@ -10,6 +10,7 @@ import numpy as np
 
 from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
 from casadi_engine.effects.sensor import SHORTEST, VARIES, SensorGain, SensorOffset, time_constants, time_grid
+from casadi_engine.effects.torque import ConstantTorque
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class InputOffset(SensorOffset):
         """Where a constant does the same."""
         if port.in_engine:
             return "the zero of a pressure is found on its compression, Experiment.peg_pressures"
-        place = port.same_constant
+        place = port.same_constant(ConstantTorque.attaches)  # where it is looked for itself
         return f"constant_torque at {place} does the same" if place else ""
 
 

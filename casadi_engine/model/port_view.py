@@ -154,16 +154,16 @@ class PortView:
             for name in self._free
         )
 
-    @property
-    def same_constant(self) -> str:
-        """The port at which a constant does what one of this input does, and nothing else; "" where there is none."""
+    def same_constant(self, kinds: Collection[str]) -> str:
+        """The port of one of these kinds at which a constant does what one of this input does, and nothing else; ""
+        where there is none."""
         name = self.name.partition("_")[2]
         known = [variable.name for variable in self._model.inputs]
         if name not in known:
             return ""
         symbol = self._model.channels[known.index(name)]
-        ports = self._model.ports
-        return next((one.name for one in ports.with_slot if _is_constant(self._model, one, symbol)), "")
+        ports = [one for one in self._model.ports.with_slot if one.kind in kinds]
+        return next((one.name for one in ports if _is_constant(self._model, one, symbol)), "")
 
     @property
     def in_engine(self) -> bool:

@@ -81,3 +81,17 @@ def test_where_a_constant_at_a_port_does_the_same_it_has_that_name():
     time = np.arange(3) * 0.1
     record = ce.Experiment.from_arrays("run", time=time, units={"T": "N m"}, T=0 * time)
     assert why(ce.one_inertia(), record, "input_T") == ["constant_torque at engine does the same"]
+
+
+@pytest.mark.parametrize(("kind", "looked_for"), [("inertia", False), ("internal", True), ("coupling", True)])
+def test_where_no_constant_is_looked_for_the_offset_is(kind, looked_for):
+    """A web's speed recorded 0.12 m/s too low was "two sensors are off, confirmed": at an internal port nothing of the
+    library is looked for, and no constant at a spring."""
+    b = ce.Blueprint("web", time_unit="s")
+    line, force = b.input("line", unit="m/s"), b.state("F", unit="N")
+    port = b.port("web", kind, {"twist" if kind == "coupling" else "speed": force}, unit="m/s")
+    b.ode("F", 2000.0 * (line + port) - 3.0 * force)
+    b.output("tension", force, unit="N")
+    time = np.arange(3) * 0.1
+    record = ce.Experiment.from_arrays("run", time=time, units={"line": "m/s"}, line=0 * time)
+    assert (why(b.model(), record, "input_line") == []) is looked_for
