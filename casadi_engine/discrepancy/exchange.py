@@ -31,6 +31,8 @@ Tell = Callable[[str], None]
 _TIE = 1.0
 # Ratio of a parameter's values beyond which two refits are far from one another.
 _MOVED = 10.0
+# Structures that lead alike, of which twins are tried at most.
+_LED = 4
 # Share of chi-squared up to which two structures have come to one and the same.
 _SAME = 1e-4
 
@@ -89,24 +91,33 @@ def is_far(refits: Refits, best: Tried) -> bool:
 
 
 def known_twins(refits: Refits, best: Key, screened: Screened, tell: Tell) -> None:
-    """Refit a structure with what is known to do the same as one of its effects in its place.
+    """Refit a structure, and those that the data do not tell from it, with what is known to do the same as one of the
+    effects in its place.
 
     A wrong conductance, power and gain of the input come to one chi-squared where a capacity is free; the slopes along
     a structure with one of them do not say so of the others, which are far from it. Nor is there a slope along a
     structure without what has states of its own: any channel may be what is late.
     """
-    now = refits.pool[best]
-    if len(best) < 2:
-        return
-    for member in now.effects:
-        for key, other in (_late_as_well(member, screened) | _did_the_same(refits, member)).items():
-            target = best - {member.candidate.key} | {key}
-            if key in best or target in refits.pool or len(target) < len(best):
-                continue
-            ask()
-            tell(f"{other.label} in place of {member.label}, in {now.label}")
-            rest = (one for one in now.effects if one is not member)
-            refits.tried((*rest, other), start_without(now.arrived, member))
+    least, seen = refits.pool[best].log - math.log(FACTOR), set[Key]()
+    while len(best) > 1 and len(seen) < _LED:
+        # that of two which lead alike has no twins tried makes a class without them
+        near = [t for t in refits.pool.values() if len(t.key) == len(best) and t.log > least]
+        left = [t for t in near if t.key not in seen]
+        if not left:
+            return
+        now = max(left, key=lambda t: (t.key == best, t.log))
+        seen.add(now.key)
+        for member in now.effects:
+            late_too = _late_as_well(member, screened) if now.key == best else {}
+            for key, other in (late_too | _did_the_same(refits, member)).items():
+                target = now.key - {member.candidate.key} | {key}
+                if key in now.key or target in refits.pool or len(target) < len(best):
+                    continue
+                ask()
+                tell(f"{other.label} in place of {member.label}, in {now.label}")
+                rest = (one for one in now.effects if one is not member)
+                refits.tried((*rest, other), start_without(now.arrived, member))
+        refits.weigh()
 
 
 def late_otherwise(refits: Refits, best: Tried, screened: Screened, tell: Tell) -> Tried:
