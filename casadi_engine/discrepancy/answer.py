@@ -160,7 +160,9 @@ class Answer:
             # a law may be all of that colour
             claim = replace(claim, unknown=Unknown(untold(self.search), {}))
         if self._is_unjudged(claim):
-            claim = claim.withdrawn_for(claim.unknown or Unknown(untold(self.search), {}), null, UNJUDGED)
+            refused = [f"{one.name} at {one.at}: fresh data refuse it" for one in claim.found]
+            why = REFUSED if any(w.startswith(tuple(refused)) for w in self.messages) else UNJUDGED
+            claim = claim.withdrawn_for(claim.unknown or Unknown(untold(self.search), {}), null, why)
         if claim.found and claim.unknown is None:
             claim = replace(claim, unknown=self._behind_a_filter(claim) or more_than_stated(claim.last))
         found, last, proof = claim.found, claim.last, claim.proof

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from casadi_engine.discrepancy.assumed_pressure import is_carried
 from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.one_screen import Lines, fitted, in_columns, listed, shortened
-from casadi_engine.discrepancy.repaired import more_probable
+from casadi_engine.discrepancy.repaired import UNTRIED, more_probable
 from casadi_engine.discrepancy.verdict_words import acts_where, headline, next_step
 from casadi_engine.discrepancy.wording import (
     LISTED,
@@ -210,6 +210,7 @@ def _unknown(repair: Repair) -> list[str]:
     head = "Still unexplained" if repair.effects else "Unexplained"
     if repair.effects and repair.unknown.odds is not None:
         head = "More probable in its place" if more_probable(repair.unknown) else "Not excluded"
+    head += ", at first sight" if UNTRIED in repair.unknown.sentence else ""
     return wrapped(f"{head}: {repair.unknown.sentence}" + (f" ({tests})" if tests else ""), "  ")
 
 
