@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from casadi_engine.parameters import Parameters
     from casadi_engine.problem import Problem
 
+# Share by which two copies of a value in one file may differ.
+_EQUAL = 1e-9
+
 From = Annotated[
     Path | None,
     typer.Option(
@@ -41,6 +44,12 @@ def as_repaired(path: Path, problem: Problem) -> Problem:
         say(
             f"The equations of {problem.model.name} are not those that {path} was made with: its values may mean "
             "something else here"
+        )
+    status = found.get("status")
+    if found.get("command") in ("fit", "repair") and status not in ("converged", "answered"):
+        say(
+            f"The {found['command']} of {path} did not end ({status}): its values are no optimum, and what follows "
+            "is of them"
         )
     if found.get("command") != "repair":
         return problem
@@ -189,6 +198,13 @@ def _stored(path: Path) -> dict[str, tuple[float, str]]:
         for name, entry in entries.items()
         if isinstance(entry.get("value"), (int, float)) and math.isfinite(entry["value"])
     }
+    for name, value, other in _contradicting(values, _document(path).get("parameter_set")):
+        raise ResultError(
+            f"{path}: the result holds two values of the parameter {name}",
+            seen=f"{value:.8g} in parameters, {other:.8g} in parameter_set",
+            allowed="one value in both, as a fit writes them",
+            cure=f"take the file as the fit wrote it, and give another value by --set {name}=VALUE",
+        )
     if not values:
         raise ResultError(
             f"{path}: the result holds no parameter values",
@@ -196,6 +212,19 @@ def _stored(path: Path) -> dict[str, tuple[float, str]]:
             cure="run `casadi-engine fit` first",
         )
     return values
+
+
+def _contradicting(
+    values: Mapping[str, tuple[float, str]], stored: Any
+) -> Iterable[tuple[str, float, float]]:
+    """Parameters that have another value in the stored set."""
+    rows = stored.get("parameters") if isinstance(stored, Mapping) else None
+    for row in rows if isinstance(rows, list) else ():
+        name, other = (str(row.get("name")), row.get("value")) if isinstance(row, Mapping) else ("", None)
+        if name not in values or not isinstance(other, (int, float)) or row.get("tie") is not None:
+            continue
+        if not math.isclose(values[name][0], other, rel_tol=_EQUAL, abs_tol=1e-300):
+            yield name, values[name][0], float(other)
 
 
 def _document(path: Path) -> Mapping[str, Any]:

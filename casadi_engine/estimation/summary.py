@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 LINES, COLUMNS = 45, 100
 # Standard deviations beyond which a sample is no noise, where a robust loss is to say so.
 _WILD = 5.0
+# How far chi-squared per sample may be from 1 to be near it.
+_NEAR = 0.5
 # Rows of each part at most; what is left out is said in words.
 ROWS = {"fit": 6, "parameters": 20, "initial": 4, "correlations": 5, "directions": 3, "gain": 4}
 STRONG = 0.5
@@ -157,11 +159,12 @@ def _header(fit: Fit) -> list[str]:
     if "searched on" in fit.options:
         lines += _labelled("searched", f"on {fit.options['searched on']}")[:3]
     worst = max(fit.integration.values(), key=lambda found: found.largest, default=None)
-    how = (
-        "exactly (a linear model on equal steps)"
-        if worst is None
-        else str(worst).removeprefix("integration: ")
-    )
+    if worst is not None:
+        how = str(worst).removeprefix("integration: ")
+    elif fit.model.linear is not None:
+        how = "exactly (a linear model on equal steps)"
+    else:
+        how = "by steps whose errors were not looked at, as the fit was ended"
     lines += _labelled("integrated", how)
     lines += _labelled("noise", "; ".join(noise_words(fit)))
     lines += _labelled("cost", cost_words(fit))
@@ -233,7 +236,11 @@ def cost_words(fit: Fit) -> str:
         beyond, wild = int((r > loss.knee).sum()), int((r > _WILD).sum())
         text += f" ({beyond} of {fit.n} samples are beyond {loss.knee:.3g} sigma and count less than their squares"
         text += f", {wild} of them beyond {_WILD:g} sigma)" if wild else ")"
-    elif fit.noise and all(estimated for _, estimated in fit.noise.values()):
+    elif (
+        fit.noise
+        and all(estimated for _, estimated in fit.noise.values())
+        and abs(fit.cost / max(fit.n, 1) - 1) < _NEAR
+    ):
         text += " (near 1 by construction: sigma is estimated)"
     return text + f"   dof {number(fit.dof, '.6g')}"
 

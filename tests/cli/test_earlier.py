@@ -43,3 +43,43 @@ def test_a_value_of_no_parameter_is_named(put):
         ResultError, match="the result has a parameter that the problem does not have; seen: width"
     ):
         put(k=2.5, width=0.01)
+
+
+@pytest.mark.parametrize(
+    ("other", "tie", "fine"), [(2.5, None, True), (3.0, None, False), (3.0, "2*c", True)]
+)
+def test_a_file_with_two_values_of_one_parameter_is_refused(monkeypatch, other, tie, fine):
+    """An edited result.json gave one of its values without a word."""
+    stored = {
+        "parameters": {"k": {"value": 2.5, "unit": "1"}},
+        "parameter_set": {"parameters": [{"name": "k", "value": other, "tie": tie}]},
+    }
+    monkeypatch.setattr(earlier, "_document", lambda _: stored)
+    if fine:
+        assert earlier._stored(Path("result.json")) == {"k": (2.5, "1")}
+        return
+    with pytest.raises(ResultError, match="the result holds two values of the parameter k") as caught:
+        earlier._stored(Path("result.json"))
+    assert "seen: 2.5 in parameters, 3 in parameter_set" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("command", "status", "told"),
+    [
+        ("fit", "interrupted", True),
+        ("fit", "converged", False),
+        ("repair", "answered", False),
+        ("validate", "x", False),
+    ],
+)
+def test_values_of_a_fit_that_did_not_end_are_said_to_be_none(monkeypatch, capsys, command, status, told):
+    b = ce.Blueprint("lag")
+    k, x = b.parameter("k", 1.0, unit="1", min=0.1, max=10), b.state("x")
+    b.ode("x", -k * x)
+    b.output("y", x)
+    problem = ce.Problem(name="lag", goal="test", model=b.model(), parameters=b.model().parameters())
+    stored = {"command": command, "status": status, "equations": earlier.equations_of(problem.model)}
+    monkeypatch.setattr(earlier, "_document", lambda _: stored)
+    earlier.as_repaired(Path("result.json"), problem)
+    words = " ".join(capsys.readouterr().out.split())
+    assert ("The fit of result.json did not end (interrupted): its values are no optimum" in words) is told
