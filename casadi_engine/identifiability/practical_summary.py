@@ -128,7 +128,8 @@ def shape(line: ProfileLine) -> str:
     """How far the interval is from the symmetric one of the standard error."""
     low, high = line.interval.low, line.interval.high
     if line.interval.lost:
-        return "not known: a refit did not end"
+        bare = not any("optimum" in (why or "") for why in (line.interval.low_why, line.interval.high_why))
+        return f"not known: {'a refit did not end' if bare else 'there is another optimum'}"
     if low is None and high is None:
         return "flat: not identifiable in practice"
     if low is None or high is None:

@@ -40,14 +40,17 @@ _LEAP = 0.5
 _ALIKE = 0.1
 # How it begins what is said of a side on which a refit was not to be had.
 LOST = "the refit"
+# The same of one beyond which another optimum lies that the data hardly tell from the fit's.
+OTHER = "another optimum"
 
 
 @dataclass(frozen=True)
 class Interval:
     """An interval by profile likelihood: low, high in the parameter's unit; None on a side that is open.
 
-    low_why, high_why : None, "at its bound", "open: the data set no limit here" or why a refit failed
-    lost : a side ends where a refit failed: nobody knows how far it goes
+    low_why, high_why : None, "at its bound", "open: the data set no limit here", why a refit failed, or which other
+    optimum of the fit lies beyond
+    lost : a side ends where a refit failed, or before another optimum: nobody knows how far it goes
     """
 
     low: float | None
@@ -58,7 +61,7 @@ class Interval:
     @property
     def lost(self) -> bool:
         sides = (self.low, self.low_why), (self.high, self.high_why)
-        return any(end is None and (why or "").startswith(LOST) for end, why in sides)
+        return any(end is None and (why or "").startswith((LOST, OTHER)) for end, why in sides)
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,6 +268,10 @@ class _Walker:
         centre = _Point(own.value, 0.0, self.fit)
         down, low, low_why = self._side(name, centre, -1.0)
         up, high, high_why = self._side(name, centre, +1.0)
+        low_why = self._beyond(name, low, -1.0) or low_why
+        high_why = self._beyond(name, high, +1.0) or high_why
+        low = None if low_why else low
+        high = None if high_why else high
         course = [*reversed(down), centre, *up]
         others = {
             other: np.array([point.fit.values[other] for point in course])
@@ -281,6 +288,21 @@ class _Walker:
             Interval(low, high, low_why, high_why),
             self.threshold,
         )
+
+    def _beyond(self, name: str, end: float | None, sign: float) -> str:
+        """Why an end is none where starts of the fit found another optimum beyond it that the threshold lets in: refits
+        from one value to the next go along the fit's own valley."""
+        own, fit = self.fit.own_noise.get(name, 1.0), self.fit
+        for one in fit.optima if end is not None else ():
+            rise = max(one.cost - fit.cost, 0.0) / own**2
+            if one.status == "converged" and one.apart and rise <= self.threshold and name in one.values:
+                value = one.values[name]
+                if sign * (value - float(end or 0.0)) > 0:
+                    return (
+                        f"{OTHER} lies beyond, at {value:.6g}, with a chi-squared that is {rise:.2g} higher: "
+                        "ce.posterior(fit) weighs both"
+                    )
+        return ""
 
     def _side(self, name: str, centre: _Point, sign: float) -> tuple[list[_Point], float | None, str | None]:
         """Points on one side, the interval's end there, and why there is none."""
