@@ -40,6 +40,7 @@ from casadi_engine.discrepancy.wording import HOLDS
 from casadi_engine.effects import candidate as candidate_of
 from casadi_engine.estimation import Estimate, Fit
 from casadi_engine.model import Model, Port
+from casadi_engine.model.sheets import changed_equations
 
 # Candidates drawn in the class matrix.
 _MATRIX = 24
@@ -377,9 +378,7 @@ def likeness_words(course: Course, *, far: bool = False) -> str:
 
 def equation_of(model: Model, base: Model) -> Equation:
     """The equations of the repaired model, and the lines that are not those of the first one."""
-    old = set(base.equations().splitlines())
-    text = model.equations()
-    return Equation(text, model.latex(), tuple(line for line in text.splitlines() if line not in old))
+    return Equation(model.equations(), model.latex(), changed_equations(model, base))
 
 
 def noise_found(screened: Screened, levels: Mapping[str, tuple[float, bool]]) -> NoiseFound:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -107,6 +108,21 @@ def equations(model: Model) -> str:
     if shared:
         lines += ["with", *(f"  {left} = {right}" for left, right in shared)]
     return "\n".join(lines)
+
+
+def changed_equations(model: Model, base: Model) -> tuple[str, ...]:
+    """The lines of a model's equations that are not those of another one, with all parts of a name that they use."""
+    known = set(equations(base).splitlines())
+    main, shared = equation_pairs(model, TEXT)
+    lines = [line for line in (f"{left} = {right}" for left, right in main) if line not in known]
+    used = set(re.findall(r"\w+", " ".join(lines)))
+    parts: list[str] = []
+    for left, right in reversed(shared):  # one is made of those before it
+        line = f"{left} = {right}"
+        if left in used or f"  {line}" not in known:
+            parts.insert(0, line)
+            used |= set(re.findall(r"\w+", right))
+    return (*lines, *parts)
 
 
 def latex(model: Model) -> str:

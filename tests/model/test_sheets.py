@@ -1,9 +1,13 @@
 """The printed sheet of a model."""
 
 import math
+import re
+
+import casadi as ca
 
 from casadi_engine.effects import InputGain, SensorDelay, SensorGain, SensorOffset
 from casadi_engine.model import Blueprint, one_inertia, two_mass
+from casadi_engine.model.sheets import changed_equations
 
 
 def test_equations_of_the_two_mass_system():
@@ -123,3 +127,32 @@ def test_what_is_made_of_its_own_name_is_told_from_it():
     assert line(SensorDelay(), "sensor_w") == "w(t + sensor_w.sensor_delay.delay) (measured) = w"
     latex = model.with_effect(InputGain(), at="input_T").latex()
     assert r"T_{\mathrm{acting}} &= T \, \left(1 + " in latex
+
+
+def _long(drag):
+    """Equations with a part so long that it has a name of its own, in a drag or not."""
+    b = Blueprint("long", time_unit="s")
+    k = b.parameter("k", 1.0, min=0)
+    x, v, u = b.state("x"), b.state("v"), b.input("u")
+    part = ca.exp(-ca.sqrt(x**2 + 2 * v**2 + 3 * x * v + 1) / (1 + ca.tanh(x * v + 0.3) ** 2)) + ca.sin(
+        3 * x + v
+    )
+    b.ode("x", v * part + k * part**2)
+    b.ode("v", u - k * x * part + (0.1 * ca.sqrt(part + 2.0) * v if drag else 0.0))
+    b.output("y", x)
+    return b.model()
+
+
+def test_changed_equations_have_all_the_parts_that_they_use():
+    """A screen ended in "with", and z1 stood in an equation whose part was as before."""
+    model, base = _long(True), _long(False)
+    assert "\nwith\n" in base.equations()
+    lines = changed_equations(model, base)
+    assert "with" not in lines
+    assert lines[0].startswith("d(v)/dt = ")
+    assert not any(line.startswith("d(x)/dt") for line in lines)
+    names = {line.partition(" = ")[0] for line in lines}
+    used = {word for line in lines for word in re.findall(r"\bz\d+\b", line.partition(" = ")[2])}
+    assert used
+    assert used <= names
+    assert changed_equations(base, base) == ()
