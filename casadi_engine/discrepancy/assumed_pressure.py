@@ -239,7 +239,7 @@ def _extended(model: Model, ports: Sequence[str], cycles: int, level: float) -> 
         declarations=(*model.declarations, *declarations),
         p=ca.vertcat(model.p, *symbols),
         inputs=(*model.inputs, *inputs),
-        u=ca.vertcat(model.channels, *channels, model.channel_rates),
+        u=ca.vertcat(model.channels, *channels, model.channel_rates, model.late_channels),
         laws=laws,
     )
 

@@ -23,6 +23,7 @@ from casadi_engine.discrepancy.null_model import (
     NullModel,
     null_at,
 )
+from casadi_engine.discrepancy.read_late import are_of, leaves_more
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.refit_null import cost_beyond, null_of_refit
 from casadi_engine.discrepancy.start import Start
@@ -33,7 +34,8 @@ from casadi_engine.estimation.refit_answer import Windowed
 from casadi_engine.estimation.refit_entry import Refit, RefitProblem
 from casadi_engine.estimation.refit_problem import EXACT
 from casadi_engine.model import Model
-from casadi_engine.model.lags import delays, lagged, nearest_lags
+from casadi_engine.model.lags import delays, is_late, lagged, nearest_lags
+from casadi_engine.model.late_inputs import reads
 from casadi_engine.parameters import Parameters
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
 from casadi_engine.simulation.propagator import bends_between_samples, switches_with_states
@@ -377,7 +379,10 @@ class Path:
         known = {one.amplitude: one.start for one in effects} | dict(
             start.values if start is not None else {}
         )
-        lags = nearest_lags(model, known, data)
+        lags = nearest_lags(model, known, data, begun=True)
+        if isinstance(start, Arrived) and reads(start.lags):  # its inputs are read off the record already
+            lags = nearest_lags(self._model(effects, start.lags), known, data, begun=True)
+        before: Arrived | None = None
         for _ in range(_LATER):
             try:
                 way = self._in_windows(effects, start, lags) if windows else None
@@ -395,12 +400,15 @@ class Path:
                         (one for one in (found, there) if one), key=lambda one: one.cost, default=None
                     )
             except (*FAILURES, TimeUp):
-                return None
+                return before
             if found is None:
-                return None
+                return before
             if way is not None and way.end is None:
                 self._ways.setdefault(way.key, []).append((way.first, found))
+            if leaves_more(found.cost, None if before is None else before.cost, len(data)):
+                return before
             own = nearest_lags(self._model(effects, lags), found.values, data)
+            before = found if reads(own) and not reads(lags) else before
             if own == lags:
                 return self._on_a_sample(effects, found, patience)
             start, windows, lags = found, False, own
@@ -503,9 +511,7 @@ class Path:
     def _model(self, effects: Sequence[Addition], lags: Mapping[str, float]) -> Model:
         """The model with these effects and, beside those of the base, these lags of its sensors."""
         model = self.refitter.extended(effects)
-        if not delays(model):
-            return model
-        return lagged(model, {**dict(model.lags), **lags})
+        return lagged(model, {**dict(model.lags), **lags}) if is_late(model) else model
 
     def _ended_with(
         self,
@@ -524,7 +530,9 @@ class Path:
             else:
                 values = _begun(problem, effects, {} if start is None else start.values)
                 initial = (start.initial if start is not None else None) or None
-                near = start.refit.nodes if initial is not None and isinstance(start, Arrived) else None
+                near = None
+                if isinstance(start, Arrived) and initial is not None and are_of(problem.model, initial):
+                    near = start.refit.nodes
                 found = problem.run(start=values, initial=initial, near=near, **how)
         if found.converged:  # what wanders is no measure of what refits cost
             self._done(own.done)

@@ -23,6 +23,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
 from casadi_engine.model.declarations import Port
+from casadi_engine.model.late_inputs import earlier
 from casadi_engine.model.law_checks import OwnState
 from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.port_view import Courses, PortView
@@ -417,7 +418,12 @@ def responses(model: Model, port: Port, value: Any) -> tuple[Any, Any, Any, Any]
     else:
         symbol = model.p[model.parameter_names.index(port.parameter)]
     moved = [model.laws, model.drive_expressions, model.output_expressions, model.ode]
+    # an input that acts late is changed where it is read off the record too
+    places = [(symbol, value), *earlier(model, symbol, value)]
     slots, drives, outputs, beyond = (
-        ca.densify(ca.jacobian(part, symbol)) * value if part.numel() else part for part in moved
+        sum((ca.densify(ca.jacobian(part, at)) * own for at, own in places), ca.SX.zeros(*part.shape))
+        if part.numel()
+        else part
+        for part in moved
     )
     return slots, drives, outputs, beyond

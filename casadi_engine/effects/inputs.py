@@ -187,6 +187,7 @@ class InputDelay(_Behind):
     kin = ("input_lag", "sensor_delay")
     sentence = "a delay of {port}"
     time = "delay"
+    delays = "time"
     shortest = 2.0  # the approximant's own motion is five times as fast
 
     def law(self, port: Any, p: Any, math: Any) -> Any:

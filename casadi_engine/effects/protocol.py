@@ -174,6 +174,8 @@ class Effect:
     neutral_negative : the same where no torque and no force acts
     fixed_only : True if it is looked for at no parameter that is estimated, which would do the same
     slides : True for a law of what slides; elsewhere it is named after what the data do not tell from it
+    delays : name of the parameter by which an input acts late [s], its law being one of three states: where the time
+        is known the record holds the input's earlier values, and they stand for the law
     retards : True if the amplitude is the time [s] by which a sensor is late: whole samples of it are then read off
         the sensor's times, and the law holds the rest
     amplitude : Amplitude        nuisance : name -> Grid
@@ -205,6 +207,7 @@ class Effect:
     neutral_negative: ClassVar[str] = ""
     fixed_only: ClassVar[bool] = False
     slides: ClassVar[bool] = False
+    delays: ClassVar[str] = ""
     retards: ClassVar[bool] = False
     amplitude: ClassVar[Amplitude]
     nuisance: ClassVar[Mapping[str, Grid]] = MappingProxyType({})

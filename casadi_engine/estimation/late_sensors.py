@@ -1,4 +1,5 @@
-"""Fits of models with late sensors: the samples are read at the times that they show, as the delays turn out."""
+"""Fits of models with late sensors, or inputs that act late: samples are read at the times that they show, or at which
+they act, as the delays turn out."""
 
 from __future__ import annotations
 
@@ -13,12 +14,16 @@ import numpy as np
 from casadi_engine.deadline import late
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.lower_optimum import merit
 from casadi_engine.model import Model
-from casadi_engine.model.lags import delays, far_from_lags, with_nearest_lags
+from casadi_engine.model.lags import delays, far_from_lags, is_late, lagged, with_nearest_lags
+from casadi_engine.model.late_inputs import input_lags, late_inputs
 from casadi_engine.parameters import Parameters
 
 # Times that samples are read anew. A delay as long as the motion takes to turn arrives after three.
 _AGAIN = 8
+# Chi-squared that a first state may well take away.
+_FEWER = 4.0
 # Optima that are followed, and the share of a delay up to which two of them are one.
 _OPTIMA, _ALIKE = 4, 0.02
 
@@ -26,11 +31,12 @@ _OPTIMA, _ALIKE = 4, 0.02
 def begun_late(arguments: Mapping[str, Any]) -> Model:
     """The model of a search with the lags that the delays it starts from ask for."""
     model, pars, warm = arguments["model"], arguments["parameters"], arguments["warm"]
-    if not delays(model):
+    if not is_late(model):
         return model
-    known = {name: pars[name].value for name in delays(model).values() if name in pars}
+    names = [*delays(model).values(), *late_inputs(model).values()]
+    known = {name: pars[name].value for name in names if name in pars}
     known |= {name: value for name, value in getattr(warm, "values", {}).items() if name in known}
-    return with_nearest_lags(model, known, arguments["data"])
+    return with_nearest_lags(model, known, arguments["data"], begun=True)
 
 
 def follow_delays(fit: Fit, parameters: Parameters, again: Callable[[dict[str, Any]], Fit]) -> Fit:
@@ -39,6 +45,7 @@ def follow_delays(fit: Fit, parameters: Parameters, again: Callable[[dict[str, A
     By the lags of the start, the law of a long delay is far off, and so may be the lowest of several optima: each of
     them is followed, and the best end is the answer.
     """
+    fit = _read_late(fit, again)
     names = set(delays(fit.model).values())
     if not names:
         return fit
@@ -57,6 +64,26 @@ def follow_delays(fit: Fit, parameters: Parameters, again: Callable[[dict[str, A
             made = again({"model": model, "parameters": begun, "warm": None})
             ends.append(_followed(made, again))
     return _best(ends)
+
+
+def _read_late(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
+    """The fit with inputs that act late read off the record, where that leaves no more than the law of their delay; the
+    fit as it is elsewhere: what is no delay may look like that law."""
+    if not late_inputs(fit.model) or not fit.converged:
+        return fit
+    lags, found = dict(fit.model.lags), fit
+    for _ in range(_AGAIN):
+        model = lagged(found.model, lags | input_lags(found.model, found.values, fit.data, begun=False))
+        if model is found.model or late():
+            break
+        with suppress(CasadiEngineError, FloatingPointError):
+            made = again({"model": model, "parameters": found.parameters, "warm": None})
+            if made.converged:
+                found = made
+                continue
+        break
+    states = len(fit.model.states) - len(found.model.states)
+    return found if merit(found) <= merit(fit) + _FEWER * states * len(fit.data) else fit
 
 
 def _best(ends: list[Fit]) -> Fit:

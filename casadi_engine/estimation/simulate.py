@@ -143,7 +143,7 @@ def simulate(
     of_fit = bool(measured) and all(isinstance(value, Estimate) for value in given.values())
     data = begun_at(data, given, model, ())
     known = dict(zip(model.parameter_names, values.tolist(), strict=True))
-    model = with_nearest_lags(model, known, (data,), most=math.inf)
+    model = with_nearest_lags(model, known, (data,), most=math.inf, begun=True)
     grid = (_fitted_grid if of_fit else _whole_grid)(
         lagged(model, {}), data
     )  # a late sensor is shifted at the end

@@ -118,6 +118,13 @@ def equations_of(model: Model, parameters: ParameterMap, record: str) -> Equatio
     if opened:
         both = ca.substitute(both, model.d[opened], model.drive_expressions[opened])
     both = ca.substitute(both, model.p, physical)
+    if model.late and ca.depends_on(both, model.late_channels):
+        raise IdentifiabilityError(
+            "the exact test has no rule for an input that acts late",
+            seen=", ".join(name for name, _, _ in model.late),
+            allowed="outputs of states, channels and parameters",
+            cure="test the model without the delay of that input, or ask fisher for its precision",
+        )
     if ca.depends_on(both, model.channel_rates):
         raise IdentifiabilityError(
             "the exact test has no rule for the rate of a channel, which a delayed sensor shows",

@@ -16,6 +16,7 @@ import casadi as ca
 from casadi_engine.effects.protocol import Attachment
 from casadi_engine.model.declarations import Port, Ports, Variable
 from casadi_engine.model.lags import with_delays
+from casadi_engine.model.late_inputs import earlier
 from casadi_engine.model.linearity import affine_parts, is_affine
 from casadi_engine.model.rates import with_rates
 from casadi_engine.model.term import Term, check_side, read_term, takes_torque
@@ -157,8 +158,21 @@ def _with_shift(model: Model, term: Term) -> Model:
     else:
         symbol = model.p[model.parameter_names.index(term.port.parameter)]
     if not term.states:
-        return replaced(model, symbol, symbol + term.value)
-    return _with_states(_with_moved_drives(model, symbol, term), term)
+        for at, value in earlier(model, symbol, term.value):
+            model = replaced(model, at, at + value)
+        return _seen_as_recorded(replaced(model, symbol, symbol + term.value), term)
+    return _with_states(_seen_as_recorded(_with_moved_drives(model, symbol, term), term), term)
+
+
+def _seen_as_recorded(model: Model, term: Term) -> Model:
+    """The model whose changed input is what is recorded for the next effect on it, which changes that: of a gain and a
+    delay each would else be in the other one."""
+    if term.port.kind != "input":
+        return model
+    ports = (
+        replace(one, signals=term.port.signals) if one.name == term.port.name else one for one in model.ports
+    )
+    return replace(model, ports=Ports(ports))
 
 
 def _with_moved_drives(model: Model, symbol: Any, term: Term) -> Model:

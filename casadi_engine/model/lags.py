@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.experiment import Experiment
+from casadi_engine.model.late_inputs import input_lags, late_inputs, of_outputs, read_late
 from casadi_engine.model.rates import with_rates
 
 if TYPE_CHECKING:
@@ -37,18 +38,29 @@ def delays(model: Model) -> dict[str, str]:
     }
 
 
+def is_late(model: Model) -> bool:
+    """True if a sensor of the model is late, or an input acts late."""
+    return bool(delays(model) or late_inputs(model))
+
+
 def nearest_lags(
-    model: Model, values: Mapping[str, float], records: Sequence[Experiment], *, most: float = _MOST
+    model: Model,
+    values: Mapping[str, float],
+    records: Sequence[Experiment],
+    *,
+    most: float = _MOST,
+    begun: bool = False,
 ) -> dict[str, float]:
     """Late output -> lag [s] at these values of the parameters: of whole steps of the slowest record's grid, or 0.
 
     most : share of the longest record that samples are moved by at most; inf for any, where none has to be left
+    begun : of inputs that act late those alone that are read off the record already, see ``input_lags``
 
     A lag that the model has is kept as long as the delay is near it. Where an input jumps at a sample and then holds,
     or its rate counts, lags are up to a step longer than the delay: the law looks ahead from a sample then, over which
     the input holds, or goes along one line.
     """
-    before, found = dict(model.lags), {}
+    before, found = dict(model.lags), input_lags(model, values, records, begun=begun)
     middle = 0.5 if model.rates or _jumps(model, records) else 0.0
     for output, name in delays(model).items():
         steps = [_step(model, record, output) for record in records]
@@ -75,10 +87,12 @@ def far_from_lags(model: Model, values: Mapping[str, float], records: Sequence[E
 
 
 def lagged(model: Model, lags: Mapping[str, float]) -> Model:
-    """The model whose late outputs are read at these lags, those left out at none; the same one if it has them."""
+    """The model whose late outputs are read at these lags, those left out at none, and late inputs at theirs; the same
+    one if it has them."""
     from casadi_engine.model.attach import replaced
 
-    made = model
+    model = made = read_late(model, lags)
+    lags = of_outputs(lags)
     for output, name in delays(model).items():
         more = lags.get(output, 0.0) - dict(model.lags).get(output, 0.0)
         if more:
@@ -116,10 +130,19 @@ def with_delays(model: Model, *, of_rates: bool = True) -> Model:
 
 
 def with_nearest_lags(
-    model: Model, values: Mapping[str, float], records: Sequence[Experiment], *, most: float = _MOST
+    model: Model,
+    values: Mapping[str, float],
+    records: Sequence[Experiment],
+    *,
+    most: float = _MOST,
+    begun: bool = False,
 ) -> Model:
-    """The model with the lags that these values of its delays ask for; most : as in ``nearest_lags``."""
-    return lagged(model, nearest_lags(model, values, records, most=most)) if delays(model) else model
+    """The model with the lags that these values of its delays ask for; most, begun : as in ``nearest_lags``."""
+    return (
+        lagged(model, nearest_lags(model, values, records, most=most, begun=begun))
+        if is_late(model)
+        else model
+    )
 
 
 def _jumps(model: Model, records: Sequence[Experiment]) -> bool:

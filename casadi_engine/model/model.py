@@ -42,6 +42,8 @@ class Model:
     corners : jumps of the equations that were rounded, see `with_rounded_jumps`
     lags : output -> seconds by which the times of its samples are read earlier, for a sensor that is late; its delay
         enters the equations less these
+    late : (input, lag, step) [s] of inputs that act late, whose values at lag - step, lag and lag + step before are
+        the last entries of u
     """
 
     name: str
@@ -67,16 +69,26 @@ class Model:
     time_unit: str = "s"
     corners: tuple[Corner, ...] = ()
     lags: tuple[tuple[str, float], ...] = ()
+    late: tuple[tuple[str, float, float], ...] = ()
 
     @property
     def channels(self) -> Any:
-        """SX column of the input channels: u without rates."""
+        """SX column of the input channels: u without rates and late values."""
         return self.u[: len(self.inputs)]
 
     @property
     def channel_rates(self) -> Any:
         """SX column of the channels' rates, in the order of `rates`."""
-        return self.u[len(self.inputs) :]
+        return self._part(len(self.inputs), len(self.rates))
+
+    @property
+    def late_channels(self) -> Any:
+        """SX column of earlier values of late inputs, three of each, in the order of `late`."""
+        return self._part(len(self.inputs) + len(self.rates), 3 * len(self.late))
+
+    def _part(self, first: int, count: int) -> Any:
+        """Entries of u, (0, 1) without any."""
+        return ca.vertcat(ca.SX(0, 1), *[self.u[k] for k in range(first, first + count)])
 
     # ---- names and parameters
 

@@ -100,7 +100,8 @@ def _with_symbols(model: Model, shown: list[Any]) -> Model:
     if not names:
         return model
     symbols = [ca.SX.sym(f"{name}_rate") for name in names]
-    return replace(model, u=ca.vertcat(model.u, *symbols), rates=(*model.rates, *names))
+    u = ca.vertcat(model.channels, model.channel_rates, *symbols, model.late_channels)
+    return replace(model, u=u, rates=(*model.rates, *names))
 
 
 def _total_rates(model: Model, outputs: Any) -> Any:

@@ -11,6 +11,7 @@ import casadi as ca
 
 from casadi_engine.experiment.units import unit_words
 from casadi_engine.model.lags import delays
+from casadi_engine.model.late_inputs import as_they_act
 from casadi_engine.model.printing import write_expressions
 from casadi_engine.model.styles import LATEX, TEXT, Style
 
@@ -42,10 +43,18 @@ def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], l
         column = ca.substitute(column, model.w[idle], no_torque) if idle else column
         return ca.substitute(column, known, named) if any(acts) else column
 
+    acting_late, late_at = as_they_act(model), dict[int, str]()
     left = [style.derivative(variable.name) for variable in model.states]
     right = list(ca.vertsplit(without_idle(model.ode)))
     for row, drive in enumerate(model.drives):
         value = model.drive_expressions[row]
+        if drive.name in acting_late:
+            delay, value = acting_late[drive.name]
+            at = f"{style.symbol('t')} - {style.symbol(delay)}"
+            late_at[len(right)] = f"({at})" if value.is_symbolic() else f" {style.remark(f'at {at}').strip()}"
+            left.append(style.symbol(drive.name))
+            right.append(value)
+            continue
         if not (value.is_symbolic() and value.name() == drive.name):
             _, value = _of_its_own_name(style, drive.name, value, "")
             left.append(style.symbol(own[row]))
@@ -71,7 +80,8 @@ def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], l
         for row, name in enumerate(model.rates)
         if any(ca.depends_on(value, model.channel_rates[row]) for value in right)
     ]
-    return [*zip(left, written.texts, strict=True), *rates], list(written.shared)
+    texts = [f"{text}{late_at.get(row, '')}" for row, text in enumerate(written.texts)]
+    return [*zip(left, texts, strict=True), *rates], list(written.shared)
 
 
 def _is_made_of_its_name(name: str, value: Any) -> bool:

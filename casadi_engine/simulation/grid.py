@@ -137,6 +137,10 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
     if found is None:
         found = _of_all_times(inputs, observed, first, last)
     rows, holds = _with_rates(model, found)
+    for name, lag, step in model.late:  # the line between two of these is what acts
+        channel = experiment[name]
+        rows = [*rows, *(_held(channel, found.time - shift) for shift in (lag - step, lag, lag + step))]
+        holds = (*holds, *[channel.hold] * 3)
     found = replace(found, rows=rows, holds=holds, measured=_with_beyond(model, experiment, found))
     return found if experiment.decimation is None else _thinned(model, found, experiment.decimation)
 
