@@ -76,8 +76,9 @@ def _read_late(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
         model = lagged(found.model, lags | input_lags(found.model, found.values, fit.data, begun=False))
         if model is found.model or late():
             break
+        warm = None if found is fit else found
         with suppress(CasadiEngineError, FloatingPointError):
-            made = again({"model": model, "parameters": found.parameters, "warm": None})
+            made = again({"model": model, "parameters": found.parameters, "warm": warm})
             if made.converged:
                 found = made
                 continue

@@ -25,6 +25,7 @@ from casadi_engine.experiment.channel import Step
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving, channel_unit
 from casadi_engine.model.lags import lagged, with_nearest_lags
+from casadi_engine.model.late_inputs import input_lags, late_inputs, read_late
 from casadi_engine.parameters import Parameters, near_matches
 from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.discretisation import Method
@@ -110,8 +111,16 @@ def simulate(
         model, parameters, initial = _of_fit(fit, data, parameters, initial)
     _check_kinds(model, data, parameters, initial)
     data = arriving(model, data)
-    names = [state.name for state in model.states]
     given: dict[str, Any] = dict(initial or {})
+    if not isinstance(source, Fit) and late_inputs(
+        model
+    ):  # a delay is what it says, not the law of a search for it
+        before = {state.name for state in model.states}
+        told = dict(zip(model.parameter_names, model.parameter_vector(parameters).tolist(), strict=True))
+        model = read_late(model, input_lags(model, told, (data,), begun=False))
+        for name in before - {state.name for state in model.states}:
+            given.pop(name, None)
+    names = [state.name for state in model.states]
     for name, value in given.items():
         number = as_number(value)
         if name in names and (number is None or not math.isfinite(number)):

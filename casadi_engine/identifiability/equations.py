@@ -121,7 +121,7 @@ def equations_of(model: Model, parameters: ParameterMap, record: str) -> Equatio
     if model.late and ca.depends_on(both, model.late_channels):
         raise IdentifiabilityError(
             "the exact test has no rule for an input that acts late",
-            seen=", ".join(name for name, _, _ in model.late),
+            seen=", ".join(name for name, _ in model.late),
             allowed="outputs of states, channels and parameters",
             cure="test the model without the delay of that input, or ask fisher for its precision",
         )

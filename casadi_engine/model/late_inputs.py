@@ -2,9 +2,9 @@
 
 The law of a delay holds at one instant and has but states to hold the past with: a rational function of s, which rings
 where the input jumps, and is far off where an output shows the input at once. Where it is known how late an input acts,
-its own earlier values are at hand: u(t - τ) by the line from u(t - lag) to u(t - lag - h), or back to u(t - lag + h),
-with a lag of whole steps h next to τ. That is what acts of an input that goes along lines, at every sample, and on
-average over each step of one that is held. So searches find τ by the law, and end by the record.
+its own earlier values are at hand: u(t - τ) by the line a + τ b from u(t - k h) to u(t - (k + 1) h), with τ between two
+steps h of the record. That is what acts of an input that goes along lines, at every sample, and on average over each
+step of one that is held. So searches find τ by the law, and end by the record.
 """
 
 from __future__ import annotations
@@ -22,10 +22,12 @@ if TYPE_CHECKING:
     from casadi_engine.experiment import Experiment
     from casadi_engine.model.model import Model
 
-# Steps by which a delay may be off the lag at which an input is read.
-_NEAR = 0.6
-# What a lag of an input, and its step, are known by beside those of outputs.
-_LAG, _STEP = "lag of input ", "step of input "
+# Steps by which a delay may lie outside the step of a record in which its input is read.
+_NEAR = 0.05
+# Share of a step within which a lag is of whole ones.
+_WHOLE = 1e-6
+# What a lag of an input is known by beside those of outputs.
+_LAG = "lag of input "
 
 
 def late_inputs(model: Model) -> dict[str, str]:
@@ -40,30 +42,34 @@ def late_inputs(model: Model) -> dict[str, str]:
 def input_lags(
     model: Model, values: Mapping[str, float], records: Sequence[Experiment], *, begun: bool
 ) -> dict[str, float]:
-    """Lags, and their steps, at which late inputs are read at these values of the delays.
+    """Lags at which late inputs are read at these values of the delays.
 
     begun : only those that are read off the record already: the law of the delay shows the way from farther off
     """
-    known, found = {name: (lag, step) for name, lag, step in model.late}, dict[str, float]()
+    known, found = dict(model.late), dict[str, float]()
     for name, delay in late_inputs(model).items():
         if (begun and name not in known) or not np.isfinite(values.get(delay, np.nan)):
             continue
-        step = max((_step(model, record) for record in records), default=0.0)
-        if not step > 0:
-            continue
-        lag, before = known.get(name, (np.inf, step))
-        off = abs(values[delay] - lag) / step
-        if abs(before - step) > 1e-6 * step or off > _NEAR:
-            lag = max(float(np.rint(values[delay] / step)), 1.0) * step
-        found |= {f"{_LAG}{name}": lag, f"{_STEP}{name}": step}
+        steps = [step for step in (_step(model, record) for record in records) if step > 0]
+        if steps:
+            lag = known.get(name)
+            inside = lag is not None and all(
+                abs(values[delay] - (between(lag, h) + 0.5) * h) <= (0.5 + _NEAR) * h for h in steps
+            )
+            found[f"{_LAG}{name}"] = lag if lag is not None and inside else float(values[delay])
     return found
+
+
+def between(lag: float, step: float) -> int:
+    """Whole steps of a grid in a lag."""
+    return max(int(np.floor(lag / step + _WHOLE)), 0)
 
 
 def read_late(model: Model, lags: Mapping[str, float]) -> Model:
     """The model whose late inputs are read off the record at these lags; others stay as they are."""
     for name in late_inputs(model):
         if f"{_LAG}{name}" in lags:
-            model = _read(model, name, lags[f"{_LAG}{name}"], lags[f"{_STEP}{name}"])
+            model = _read(model, name, lags[f"{_LAG}{name}"])
     return model
 
 
@@ -72,29 +78,29 @@ def as_they_act(model: Model) -> dict[str, tuple[str, Any]]:
     the record."""
     found, names = {}, [one.name for one in model.drives]
     channels = [one.name for one in model.inputs]
-    for row, (name, lag, _) in enumerate(model.late):
-        value = ca.substitute(model.drive_expressions[names.index(_drive(name))], _delay(model, name), lag)
-        here = ca.substitute(value, model.late_channels[3 * row + 1], model.u[channels.index(name)])
+    for row, (name, _) in enumerate(model.late):
+        value, (at, slope) = model.drive_expressions[names.index(_drive(name))], _parts(model, row)
+        here, _ = ca.substitute([value, slope], [at, slope], [model.u[channels.index(name)], ca.SX(0)])
         found[_drive(name)] = late_inputs(model)[name], ca.simplify(here)
     return found
 
 
 def earlier(model: Model, symbol: Any, value: Any) -> list[tuple[Any, Any]]:
-    """Earlier values of a channel that acts late, each with what a value made of the channel is of it; none of another
-    channel, nor of what has states, whose earlier values nobody has."""
+    """The entry of u that stands for a channel which acts late, with what a value made of the channel was that much
+    earlier; none of another channel, nor of what has states, whose earlier values nobody has."""
     names = [one.name for one in model.inputs]
     row = next(
         (k for k, own in enumerate(model.late) if own[0] == symbol.name() and symbol.name() in names), None
     )
     if row is None or ca.depends_on(value, ca.vertcat(model.x, model.d, model.w)):
         return []
-    parts = ca.vertsplit(model.late_channels)[3 * row : 3 * row + 3]
-    return [(part, ca.substitute(value, symbol, part)) for part in parts]
+    at, slope = _parts(model, row)
+    return [(at, ca.substitute(value, symbol, at + _delay(model, symbol.name()) * slope))]
 
 
 def of_outputs(lags: Mapping[str, float]) -> dict[str, float]:
     """Those that are lags of outputs."""
-    return {name: lag for name, lag in lags.items() if not name.startswith((_LAG, _STEP))}
+    return {name: lag for name, lag in lags.items() if not name.startswith(_LAG)}
 
 
 def reads(lags: Mapping[str, float]) -> bool:
@@ -109,25 +115,20 @@ def _step(model: Model, record: Experiment) -> float:
     return float(f"{min(steps, default=0.0):.10g}")
 
 
-def _read(model: Model, name: str, lag: float, step: float) -> Model:
-    known = [one[0] for one in model.late]
+def _parts(model: Model, row: int) -> list[Any]:
+    """Symbols of the line a + τ b that an input's values follow between two steps of the record."""
+    found: list[Any] = ca.vertsplit(model.late_channels)[2 * row : 2 * row + 2]
+    return found
+
+
+def _read(model: Model, name: str, lag: float) -> Model:
+    known = dict(model.late)
     if name not in known:
-        return _without_law(model, name, lag, step)
-    row = known.index(name)
-    _, before, own = model.late[row]
-    if (before, own) == (lag, step):
-        return model
-    # the same weights of the three values, at the same share of a step off the new lag
-    delay = _delay(model, name)
-    at = [one.name for one in model.drives].index(_drive(name))
-    drives = ca.SX(model.drive_expressions)
-    moved = delay - (lag - before) if own == step else (delay - lag) * (own / step) + before
-    drives[at] = ca.substitute(drives[at], delay, moved)
-    late = tuple((name, lag, step) if k == row else one for k, one in enumerate(model.late))
-    return replace(model, drive_expressions=drives, late=late)
+        return _without_law(model, name, lag)
+    return model if known[name] == lag else replace(model, late=tuple((known | {name: lag}).items()))
 
 
-def _without_law(model: Model, name: str, lag: float, step: float) -> Model:
+def _without_law(model: Model, name: str, lag: float) -> Model:
     """The model in which the input's earlier values stand for the states of the law; itself where what the law delays
     is more than the input."""
     from casadi_engine.model.attach import replaced, with_drive
@@ -145,13 +146,11 @@ def _without_law(model: Model, name: str, lag: float, step: float) -> Model:
     own = {symbol.element_hash(), *(s.element_hash() for s in ca.symvar(model.p))}
     if not {s.element_hash() for s in ca.symvar(passed)} <= own:
         return model
-    late = ca.vertcat(*[ca.SX.sym(f"{name}_late_{k}") for k in range(3)])
-    after, here, ahead = (ca.substitute(passed, symbol, late[k]) for k in range(3))
-    off = (_delay(model, name) - lag) / step
-    acts = here + ca.if_else(off >= 0, off * (ahead - here), off * (here - after))
+    late = [ca.SX.sym(f"{name}_late_{part}") for part in ("at", "slope")]
+    acts = ca.substitute(passed, symbol, late[0] + _delay(model, name) * late[1])
     drive = ca.SX.sym(_drive(name))
     unit = model.inputs[[v.name for v in model.inputs].index(name)].unit
-    wider = replace(model, u=ca.vertcat(model.u, late), late=(*model.late, (name, lag, step)))
+    wider = replace(model, u=ca.vertcat(model.u, *late), late=(*model.late, (name, lag)))
     wider = with_drive(wider, drive, acts, f"{name} as it acts, late", unit)
     for part, value in zip(parts, (drive, ca.SX(0), ca.SX(0)), strict=True):
         wider = replaced(wider, wider.x[states.index(part)], value)

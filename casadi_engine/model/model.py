@@ -42,8 +42,7 @@ class Model:
     corners : jumps of the equations that were rounded, see `with_rounded_jumps`
     lags : output -> seconds by which the times of its samples are read earlier, for a sensor that is late; its delay
         enters the equations less these
-    late : (input, lag, step) [s] of inputs that act late, whose values at lag - step, lag and lag + step before are
-        the last entries of u
+    late : (input, lag) [s] of inputs that act late, whose values before by about the lag are the last entries of u
     """
 
     name: str
@@ -69,7 +68,7 @@ class Model:
     time_unit: str = "s"
     corners: tuple[Corner, ...] = ()
     lags: tuple[tuple[str, float], ...] = ()
-    late: tuple[tuple[str, float, float], ...] = ()
+    late: tuple[tuple[str, float], ...] = ()
 
     @property
     def channels(self) -> Any:
@@ -83,8 +82,8 @@ class Model:
 
     @property
     def late_channels(self) -> Any:
-        """SX column of earlier values of late inputs, three of each, in the order of `late`."""
-        return self._part(len(self.inputs) + len(self.rates), 3 * len(self.late))
+        """SX column of what late inputs were, a line over their delay each, in the order of `late`."""
+        return self._part(len(self.inputs) + len(self.rates), 2 * len(self.late))
 
     def _part(self, first: int, count: int) -> Any:
         """Entries of u, (0, 1) without any."""

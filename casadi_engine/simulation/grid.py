@@ -22,6 +22,7 @@ from casadi_engine.experiment.channel import sampling_rate
 from casadi_engine.experiment.decimation import Decimation
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
+from casadi_engine.model.late_inputs import between
 from casadi_engine.simulation.jets import Array
 
 # Samples that lie closer to a grid point than this share of a step count as on it: files round their times, to
@@ -137,10 +138,11 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
     if found is None:
         found = _of_all_times(inputs, observed, first, last)
     rows, holds = _with_rates(model, found)
-    for name, lag, step in model.late:  # the line between two of these is what acts
-        channel = experiment[name]
-        rows = [*rows, *(_held(channel, found.time - shift) for shift in (lag - step, lag, lag + step))]
-        holds = (*holds, *[channel.hold] * 3)
+    for name, late in model.late:
+        channel, lag = experiment[name], between(late, found.step) * found.step
+        at, before = (_shifted(channel, found.time, shift) for shift in (lag, lag + found.step))
+        slope = (before - at) / found.step
+        rows, holds = [*rows, at - lag * slope, slope], (*holds, *[channel.hold] * 2)
     found = replace(found, rows=rows, holds=holds, measured=_with_beyond(model, experiment, found))
     return found if experiment.decimation is None else _thinned(model, found, experiment.decimation)
 
@@ -290,6 +292,19 @@ def _held(channel: Channel, times: Array) -> Array:
     slack = _SAME * np.minimum(np.r_[space[0], space], np.r_[space, space[-1]])
     held = np.searchsorted(channel.time - slack, times, side="right") - 1
     return channel.values[np.clip(held, 0, len(channel.time) - 1)]
+
+
+def _shifted(channel: Channel, times: Array, shift: float) -> Array:
+    """The channel that much earlier than these times; one that is held on average over the step behind each of them, in
+    which it may jump."""
+    if channel.hold == "first" or len(times) < 2 or len(channel.time) < 2:
+        return _held(channel, times - shift)
+    steps = np.diff(channel.time)
+    area = np.concatenate([[0.0], np.cumsum(channel.values[:-1] * steps)])
+    ends = np.append(times, 2 * times[-1] - times[-2]) - shift
+    before, behind = np.minimum(ends - channel.time[0], 0.0), np.maximum(ends - channel.time[-1], 0.0)
+    whole = np.interp(ends, channel.time, area) + before * channel.values[0] + behind * channel.values[-1]
+    return np.asarray(np.diff(whole) / np.diff(ends), dtype=np.float64)
 
 
 def _distinct(channels: list[Channel]) -> list[Array]:

@@ -170,6 +170,8 @@ def validate(
             tests["bounds"] = again.check.limits
     failed = rejected(tests, alpha=alpha)
     notes = _notes(fit, held, again, alpha, failed) if isinstance(fit, Fit) else ()
+    if held is fit and known is None:  # else the fit holds the values of an earlier one
+        notes = ("these are the data of the fit itself: they tell nothing of fresh data", *notes)
     # beside a few samples that are larger than all else no test sees anything
     blind = "" if wild_samples(held, tails=True) is None else HERE
     if not blind and isinstance(fit, Fit) and wild_samples(fit, tails=True) is not None:
@@ -220,8 +222,6 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
         f"the parameters were found from the measurement of {name}: it tells nothing of fresh data"
         for name in seen
     ]
-    if held is fit:
-        said.append("these are the data of the fit itself: they tell nothing of fresh data")
     if held is not fit and not held.converged:
         said.append(
             f"the initial states were not found on these data: {held.status}; the numbers are of that point"
