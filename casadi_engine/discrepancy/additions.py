@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
+from casadi_engine.deadline import left as time_left
 from casadi_engine.discrepancy.event_times import located
 from casadi_engine.discrepancy.exchanged_units import LATE
 from casadi_engine.discrepancy.families import chosen_of, costs_of, families_of
@@ -53,6 +54,9 @@ _NOTHING = 1.0
 # Seconds of refits from which functions of no name are asked to show the way, where nothing has come near the motion:
 # as long as the refits have taken, and again when these have taken as long again.
 _WORTH = 2.0
+# Times as long that refits from the parameters' own values may take where nothing leaves noise, and what part of the
+# time that is left.
+_LONGER, _OF_LEFT = 8.0, 0.25
 
 Family = tuple[str, str]
 
@@ -284,7 +288,7 @@ class Additions:
         """Refits of what was left out from the parameters' own values, where the past of what the best one leaves
         foretells more of it than chance: a fit that lacks an effect may end where no step tells anything of it, and
         windows may lead there too, where few states are measured. They take as long again as those that one step
-        promised.
+        promised, and longer while the best of them leaves more than noise.
 
         begun : when the first of those began
         """
@@ -306,8 +310,11 @@ class Additions:
         spent, best = time.perf_counter() - begun, self._best()
         self.lead, self.start = step, None
         left = self._led(left, best)
-        last = time.perf_counter() + spent
-        while left and time.perf_counter() < last:
+        now = time.perf_counter()
+        last, latest = now + spent, now + min(_LONGER * spent, _OF_LEFT * time_left())
+        while left and time.perf_counter() < latest:
+            if time.perf_counter() > last and not self._is_coloured():
+                break
             ask()
             key = left.pop(0)
             self.tell(f"refit from other values: {key[0]} at {key[1]}")
@@ -319,6 +326,11 @@ class Additions:
             found = self._best()
             if found is not None and (best is None or found.arrived.cost < best.arrived.cost - _NESTED):
                 best, left = found, self._left(found, left)
+
+    def _is_coloured(self) -> bool:
+        """True where the past of what the best structure leaves foretells more of it than chance."""
+        self.refits.weigh()
+        return self.refits.levels.foretold > chance(self.refits, self.screened)
 
     def _elsewhere(self, best: Tried) -> None:
         """Refits from other starts, once every effect has an answer."""

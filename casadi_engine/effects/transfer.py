@@ -64,7 +64,7 @@ class Overflow(Effect):
     It acts at a pipe, as `Transfer` does. The cascaded tanks of Schoukens, Mattsson, Wigren and Noël (2016) do so.
 
     span : the least and the largest level of an edge; None for those along the records
-    most : the largest rate; None takes what empties the vessel down to its edge within a quarter of a sample
+    most : the largest rate; None takes what empties the larger vessel down to its edge within a quarter of a sample
 
     >>> Overflow().describe("upper_and_lower")
     'an overflow between upper and lower'
@@ -105,7 +105,9 @@ class Overflow(Effect):
         most = self.most
         if most is None:
             step = max(float(np.median(np.diff(record[name].time))) for name in record.names)
-            gain = max(port.response(signal, values) for signal in ("first", "second"))
+            # either end may run over: what is too fast for a well is little for the pond beside it
+            gains = [port.response(signal, values) for signal in ("first", "second")]
+            gain = min((one for one in gains if one > 0), default=0.0)
             most = float(f"{1 / (_FASTEST * step * gain):.1g}") if gain > 0 else None
         levels = [*port.courses("first"), *port.courses("second")]
         if self.span is not None or not levels:
