@@ -1,0 +1,164 @@
+"""Inputs that act late, read off the record: against closed forms of a lag that a late stair or line drives."""
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.effects import InputDelay, InputGain, InputLag, InputOffset
+from casadi_engine.errors import IdentifiabilityError
+from casadi_engine.model.lags import lagged
+from casadi_engine.model.late_inputs import as_they_act, between, input_lags, read_late
+from casadi_engine.simulation.grid import lay_grid
+
+TIME = 0.1 * np.arange(400)
+STAIR = np.repeat(np.random.default_rng(1).uniform(-1.0, 1.0, 40), 10)
+RATE, GAIN, SHOWN = 0.8, 1.5, 0.4
+
+
+def model(*, shown=0.0):
+    """A lag; its sensor may show the input at once."""
+    b = ce.Blueprint("lag", time_unit="s")
+    k, g = (
+        b.parameter("k", RATE, unit="1/s", min=0.01, max=10),
+        b.parameter("g", GAIN, unit="1/s", min=0.01, max=10),
+    )
+    x, u = b.state("x", unit="V"), b.input("u", unit="V")
+    b.ode("x", -k * x + g * u)
+    b.output("y", x + shown * u, unit="V")
+    return b.model()
+
+
+def late(time, values, delay, hold):
+    """What acts at these times."""
+    if hold == "first":
+        return np.interp(time - delay, TIME, values)
+    return values[np.clip(np.floor((time - delay) / 0.1 + 1e-9).astype(int), 0, len(values) - 1)]
+
+
+def truth(delay, hold, *, shown=0.0, fine=200):
+    """The sensor (N,): the lag is solved exactly over short steps, over which what acts is all but constant."""
+    step = 0.1 / fine
+    acts = late((np.arange((len(TIME) - 1) * fine) + 0.5) * step, STAIR, delay, hold).reshape(-1, fine)
+    decay = np.exp(-RATE * step)
+    weights = (1 - decay) * decay ** np.arange(fine - 1, -1, -1)
+    x = [0.3]
+    for part in acts @ weights:
+        x.append(decay**fine * x[-1] + GAIN / RATE * part)
+    return np.array(x) + shown * late(TIME, STAIR, delay, hold)
+
+
+def record(y=None, hold="first", noise=0.0):
+    y = np.zeros_like(TIME) if y is None else y + noise * np.random.default_rng(0).standard_normal(len(TIME))
+    return ce.Experiment.from_arrays("run", time=TIME, units={"u": "V", "y": "V"}, hold=hold, u=STAIR, y=y)
+
+
+def delayed(own, delay, **settings):
+    return own.with_effect(InputDelay(**settings), at="input_u", values={"share": 1.0, "time": delay})
+
+
+@pytest.mark.parametrize("hold", ["first", "zero"])
+@pytest.mark.parametrize(("delay", "shown"), [(0.5, 0.0), (0.5, SHOWN), (1.73, 0.0)])
+def test_a_delay_is_simulated_as_what_it_says(hold, delay, shown):
+    """By a rational law alone the record was off by a fifth of the jumps where the sensor shows the input at once."""
+    run = ce.simulate(delayed(model(shown=shown), delay), record(hold=hold), initial={"x": 0.3})
+    off = run["y"].values - truth(delay, hold, shown=shown)
+    assert np.abs(off).max() < (3e-3 if delay == 0.5 else 0.03)
+    assert np.sqrt(np.mean(off**2)) < (5e-4 if delay == 0.5 else 5e-3)
+
+
+@pytest.mark.parametrize("hold", ["first", "zero"])
+@pytest.mark.parametrize("shown", [0.0, SHOWN])
+def test_a_fit_finds_a_delay_and_its_error_where_the_input_jumps(hold, shown):
+    own = delayed(model(shown=shown), 0.45, span=(0.2, 10.0))
+    pars = own.parameters()
+    pars["input_u.input_delay.share"].set(1.0, vary=False)
+    pars["input_u.input_delay.time"].set(0.43, vary=True)
+    data = record(truth(0.5, hold, shown=shown), hold, noise=0.005)
+    fit = ce.estimate(own, data, parameters=pars, noise=ce.Noise(y=0.005), progress=False)
+    assert [state.name for state in fit.model.states] == ["x"]
+    assert fit.cost / fit.n < 1.15
+    found = fit.estimates["input_u.input_delay.time"]
+    assert abs(found.value - 0.5) < 3.5 * found.stderr < 0.003
+    assert "u_late = u(t - input_u.input_delay.time)" in fit.model.equations()
+    assert "u(t - " in fit.model.latex()
+    check = ce.validate(fit, record(truth(0.5, hold, shown=shown), hold, noise=0.005))
+    assert not check.failed
+
+
+@pytest.mark.parametrize("other", [(InputGain(), {"gain": 0.2}), (InputOffset(), {"offset": 0.3})])
+@pytest.mark.parametrize("behind", [InputDelay(), InputLag()])
+def test_a_change_of_an_input_and_its_lateness_do_the_same_in_either_order(other, behind):
+    """With a gain first, a delay took the gain of what it delays a second time; behind one, a gain was refused."""
+    effect, values = other
+    time = {"share": 1.0, "time": 0.7}
+    first = model().with_effect(effect, at="input_u", values=values)
+    first = first.with_effect(behind, at="input_u", values=time)
+    last = model().with_effect(behind, at="input_u", values=time)
+    last = last.with_effect(effect, at="input_u", values=values)
+    runs = [
+        ce.simulate(one, record(), initial={"x": 0.3, **behind_at_rest(one)})["y"].values
+        for one in (first, last)
+    ]
+    changed = 1.2 * STAIR if "gain" in values else STAIR + 0.3
+    plain = model().with_effect(behind, at="input_u", values=time)
+    data = ce.Experiment.from_arrays("run", time=TIME, units={"u": "V", "y": "V"}, u=changed, y=0 * TIME)
+    expected = ce.simulate(plain, data, initial={"x": 0.3, **behind_at_rest(plain, changed[0])})["y"].values
+    for run in runs:
+        np.testing.assert_allclose(run[120:], expected[120:], atol=1e-3)
+
+
+def behind_at_rest(own, value=STAIR[0]):
+    return {one.name: value for one in own.states if one.name.endswith("_acts")}
+
+
+def test_an_effect_on_an_input_that_is_read_late_acts_on_what_is_read():
+    own = read_late(delayed(model(), 0.5), {"lag of input u": 0.5})
+    assert own.late == (("u", 0.5),)
+    wider = own.with_effect(InputGain(), at="input_u", values={"gain": 0.2})
+    run, plain = (ce.simulate(one, record(), initial={"x": 0.0})["y"].values for one in (wider, own))
+    np.testing.assert_allclose(run, 1.2 * plain, atol=1e-9)
+    ((delay, value),) = as_they_act(wider).values()
+    assert delay == "input_u.input_delay.time"
+    assert not value.is_symbolic()
+    assert "(at t - input_u.input_delay.time)" in wider.equations()
+
+
+def test_a_lag_is_kept_while_its_step_holds_the_delay():
+    own = read_late(delayed(model(), 0.5), {"lag of input u": 0.52})
+    data = [record()]
+
+    def lags(value, begun=True, of=own):
+        return input_lags(of, {"input_u.input_delay.time": value}, data, begun=begun)
+
+    assert lags(0.58) == lags(0.504) == lags(0.497) == {"lag of input u": 0.52}
+    assert lags(0.63) == {"lag of input u": 0.63}
+    assert lags(0.63, of=delayed(model(), 0.5)) == {}  # the law shows the way first
+    assert lags(0.63, begun=False, of=delayed(model(), 0.5)) == {"lag of input u": 0.63}
+    assert lagged(own, lags(0.58)) is own
+    assert [between(lag, 0.1) for lag in (0.0, 0.0999999999, 0.55, 0.6)] == [0, 1, 5, 6]
+
+
+def test_records_of_two_rates_have_lines_of_their_own():
+    own = read_late(delayed(model(), 0.5), {"lag of input u": 0.53})
+    slow = ce.Experiment.from_arrays(
+        "slow", time=TIME[::2], units={"u": "V", "y": "V"}, u=STAIR[::2], y=0 * TIME[::2]
+    )
+    for data, step in ((record(), 0.1), (slow, 0.2)):
+        grid = lay_grid(own, data)
+        at, slope = grid.rows[-2:]
+        u = data["u"]
+        np.testing.assert_allclose(
+            at + 0.5 * slope, np.interp(grid.time - 0.5, u.time, u.values), atol=2e-1 * step
+        )
+        first = between(0.53, step) * step
+        np.testing.assert_allclose(
+            at + first * slope, np.interp(grid.time - first, u.time, u.values), atol=1e-12
+        )
+
+
+def test_the_exact_test_has_no_rule_for_it():
+    own = read_late(delayed(model(), 0.5), {"lag of input u": 0.5})
+    with pytest.raises(IdentifiabilityError, match="no rule for an input that acts late") as caught:
+        ce.identifiability(own)
+    assert "seen: u" in str(caught.value)
+    assert "test the model without the delay of that input" in str(caught.value)
