@@ -141,8 +141,9 @@ def law_leads(repair: Repair) -> bool:
 
 def _and_more(repair: Repair) -> str:
     """What is said of what is unexplained beside the effects of an answer."""
-    # a delay of an input is held by a law that is not exact where the input jumps
-    delay = next((one for one in repair.effects if one.name == "input_delay"), None)
+    # where an input is not read late off the record, a law holds its delay that is not exact where the input jumps
+    read = {f"input_{name}" for name, _ in repair.fit.model.late}
+    delay = next((one for one in repair.effects if one.name == "input_delay" and one.at not in read), None)
     if repair.stopped:
         said = ", and more that was not searched to the end"
     elif delay is not None:

@@ -174,8 +174,12 @@ class InputLag(_Behind):
 @dataclass(frozen=True)
 class InputDelay(_Behind):
     """An input of which a share acts a time τ [s] later than recorded, as over a belt, a pipe or a bus: with all of it
-    (share 1) u(t − τ), by its Padé approximant of orders 2 and 3, which does not jump where the input does:
-    x − 2/5 ẋ + ẍ/20 with x + 3/5 ẋ + 3/20 ẍ + (d³x/ds³)/60 = u, in the time s = t/τ.
+    (share 1) u(t − τ).
+
+    What a record holds is read off it (``delays``), by fits and simulations; before its first sample an input is what
+    it is there. Searches begin with the Padé approximant of orders 2 and 3, which shows the way from afar:
+    x − 2/5 ẋ + ẍ/20 with x + 3/5 ẋ + 3/20 ẍ + (d³x/ds³)/60 = u, in the time s = t/τ; a fit keeps it where that leaves
+    less, as what is no delay may look like it.
 
     Where the states do not know the time, all outputs are the same where every sensor is late by as much.
 

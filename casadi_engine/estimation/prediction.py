@@ -184,7 +184,7 @@ def with_band(
     else:
         drawn = around.drawn(model.draws)
         count, beyond = len(drawn), (1 - LEVEL) / 2
-        runs = {name: drawn[:, k] for k, name in enumerate(outputs)}
+        runs = {name: drawn[:, k, :: grid.parts] for k, name in enumerate(outputs)}
         noise = np.random.default_rng(0).standard_normal(drawn.shape) * around.noise(drawn)
         parts = {"value": np.median(drawn, axis=0), "stderr": drawn.std(axis=0, ddof=1)}
         parts["low"], parts["high"] = np.quantile(drawn, [beyond, 1 - beyond], axis=0)
@@ -192,7 +192,7 @@ def with_band(
     bands = {
         name: Band(
             simulated[name].time, sigma=float(around.sigma[k]), unit=simulated[name].unit,
-            **{key: part[k] for key, part in parts.items()},
+            **{key: part[k, :: grid.parts] for key, part in parts.items()},
         )
         for k, name in enumerate(outputs)
     }  # fmt: skip

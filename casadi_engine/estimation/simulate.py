@@ -332,14 +332,17 @@ def _run(
     found = simulated(model, grid, values, start, method=method, tolerance=tolerance)
     measured = [out.name for out in model.outputs if out.name in data]
     result = inputs if model.inputs else data.only(*measured)
+    shown = grid.time[:: grid.parts]
     for out, row in zip(model.outputs, as_shown(model, grid, found.outputs), strict=True):
         result = result.with_channel(
-            Channel(out.name, channel_unit(out, data), time=grid.time, values=row, origin="derived")
+            Channel(
+                out.name, channel_unit(out, data), time=shown, values=row[:: grid.parts], origin="derived"
+            )
         )
     about = found.integration.to_dict()
     if any(lag for _, lag in model.lags):
         about["guessed before the first instant is shown"] = {
             name: f"{abs(lag):.6g} s" for name, lag in model.lags if lag
         }
-    step = Step("simulate", {"model": model.name, **about}, grid.samples, grid.samples)
+    step = Step("simulate", {"model": model.name, **about}, len(shown), len(shown))
     return replace(result, history=(*result.history, step))

@@ -3,8 +3,9 @@
 The law of a delay holds at one instant and has but states to hold the past with: a rational function of s, which rings
 where the input jumps, and is far off where an output shows the input at once. Where it is known how late an input acts,
 its own earlier values are at hand: u(t - τ) by the line a + τ b from u(t - k h) to u(t - (k + 1) h), with τ between two
-steps h of the record. That is what acts of an input that goes along lines, at every sample, and on average over each
-step of one that is held. So searches find τ by the law, and end by the record.
+steps h of a grid. That is what acts of an input that goes along lines, at every point, and on average over each step of
+one that is held. Where τ is no whole number of the record's steps, those of the grid are parts of them. So searches
+find τ by the law, and end by the record.
 """
 
 from __future__ import annotations
@@ -22,8 +23,11 @@ if TYPE_CHECKING:
     from casadi_engine.experiment import Experiment
     from casadi_engine.model.model import Model
 
-# Steps by which a delay may lie outside the step of a record in which its input is read.
-_NEAR = 0.05
+# Steps by which a delay may lie outside the step of a record in which its input is read, and outside a finer one.
+_NEAR, _NEAR_FINE = 0.05, 0.1
+# Squared steps by which what acts over a step may be off in its second moment, as a jump within it is spread over all
+# of it: a thirtieth of the most that it may be.
+_SPREAD = 0.004
 # Share of a step within which a lag is of whole ones.
 _WHOLE = 1e-6
 # What a lag of an input is known by beside those of outputs.
@@ -53,16 +57,30 @@ def input_lags(
         steps = [step for step in (_step(model, record) for record in records) if step > 0]
         if steps:
             lag = known.get(name)
-            inside = lag is not None and all(
-                abs(values[delay] - (between(lag, h) + 0.5) * h) <= (0.5 + _NEAR) * h for h in steps
-            )
-            found[f"{_LAG}{name}"] = lag if lag is not None and inside else float(values[delay])
+            stays = lag is not None and all(_holds(lag, h, values[delay]) for h in steps)
+            found[f"{_LAG}{name}"] = lag if lag is not None and stays else float(values[delay])
     return found
+
+
+def _holds(lag: float, step: float, delay: float) -> bool:
+    """True where the line over the step of a grid that a lag lies in is that of a delay too."""
+    parts = finer(lag, step)
+    own, near = step / parts, _NEAR if parts == 1 else _NEAR_FINE
+    return abs(delay - (between(lag, own) + 0.5) * own) <= (0.5 + near) * own
 
 
 def between(lag: float, step: float) -> int:
     """Whole steps of a grid in a lag."""
     return max(int(np.floor(lag / step + _WHOLE)), 0)
+
+
+def finer(lag: float, step: float) -> int:
+    """By how much finer than its record a grid is on which a lag is of whole steps, as nearly as jumps need."""
+    for parts in range(1, 100):
+        rest = abs(lag / step * parts - round(lag / step * parts))
+        if rest * (1 - rest) <= 2 * _SPREAD * parts**2:
+            return parts
+    return 1
 
 
 def read_late(model: Model, lags: Mapping[str, float]) -> Model:

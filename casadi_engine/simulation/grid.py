@@ -22,7 +22,7 @@ from casadi_engine.experiment.channel import sampling_rate
 from casadi_engine.experiment.decimation import Decimation
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
-from casadi_engine.model.late_inputs import between
+from casadi_engine.model.late_inputs import between, finer
 from casadi_engine.simulation.jets import Array
 
 # Samples that lie closer to a grid point than this share of a step count as on it: files round their times, to
@@ -58,6 +58,7 @@ class Grid:
 
     times : (N,) of a grid that is not equally spaced, whose ``step`` is the typical one; else None
     whole : of a record of a lower rate that of the record which it was made of, and how; else None
+    parts : of each step of the record that its own steps are, for an input that acts late
     """
 
     start: float
@@ -68,6 +69,7 @@ class Grid:
     measured: dict[str, Measured]
     times: Array | None = None
     whole: tuple[Grid, Decimation] | None = None
+    parts: int = 1
 
     @property
     def uniform(self) -> bool:
@@ -134,7 +136,9 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
         first = min(first, max([experiment.begin, *(channel.span[0] for channel in inputs)]))
     if model.lags and observed:
         observed, last = _read_late(observed, dict(model.lags), first, last, experiment.place)
-    found = _equally_spaced(inputs, observed, first, last, experiment.place)
+    found = _equally_spaced(
+        inputs, observed, first, last, experiment.place, lags=[lag for _, lag in model.late]
+    )
     if found is None:
         found = _of_all_times(inputs, observed, first, last)
     rows, holds = _with_rates(model, found)
@@ -198,9 +202,16 @@ def _with_beyond(model: Model, experiment: Experiment, grid: Grid) -> dict[str, 
 
 
 def _equally_spaced(
-    inputs: list[Channel], observed: list[Channel], first: float, last: float, place: str
+    inputs: list[Channel],
+    observed: list[Channel],
+    first: float,
+    last: float,
+    place: str,
+    *,
+    lags: Sequence[float] = (),
 ) -> Grid | None:
-    """The grid of the fastest input or output, if all samples lie on it and it is not mostly empty."""
+    """The grid of the fastest input or output, if all samples lie on it and it is not mostly empty; of parts of its
+    steps where inputs are late by no whole number of them."""
     leader = _leader(inputs or observed)
     rate = sampling_rate(leader.time, _ON_GRID)
     step = 1 / rate if rate else float(np.median(np.diff(leader.time)))
@@ -208,8 +219,10 @@ def _equally_spaced(
     origin = leader.time[0] if rate else first
     start = origin + step * math.floor((first - origin) / step + _ON_GRID)
     points = (last - start) / step
+    parts = max((finer(lag, step) for lag in lags), default=1)
     if points > _SPARSE * sum(len(c.time) for c in (*inputs, *observed)):
         return None
+    points, step = points * parts, step / parts
     samples = math.ceil(points - _ON_GRID) + 1
     if samples < 2:
         raise _too_short(place, samples, last - first, step)
@@ -229,7 +242,7 @@ def _equally_spaced(
         channel.values[part] if (part := found[id(channel.time)]) else _sampled(channel, time, step)
         for channel in inputs
     ]
-    return Grid(start, step, samples, rows, tuple(c.hold for c in inputs), measured)
+    return Grid(start, step, samples, rows, tuple(c.hold for c in inputs), measured, parts=parts)
 
 
 def _valid(channel: Channel) -> tuple[NDArray[np.intp], Array, Array]:
