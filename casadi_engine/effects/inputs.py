@@ -136,7 +136,15 @@ class _Behind(Effect):
             return self
         known = record[name].values[record[name].mask]
         first = float(known[0]) if len(known) else 0.0
-        return replace(self, first=first, span=self.span or time_constants(record[name].time, self.shortest))
+        span = self.span or time_constants(record[name].time, self.shortest)
+        if (
+            self.span is None and span is not None and self.delays
+        ):  # which sensors show that are faster than the input
+            steps = [
+                float(np.median(np.diff(record[n].time))) for n in record.names if len(record[n].time) > 1
+            ]
+            span = min(span[0], float(f"{self.shortest * min(steps):.2g}")), span[1]
+        return replace(self, first=first, span=span)
 
     def idle(self, port: Any) -> str:
         """An input that stays as it is comes late to nothing; a pressure and a crank angle are measured where they

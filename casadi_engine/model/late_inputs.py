@@ -150,6 +150,8 @@ def _without_law(model: Model, name: str, lag: float) -> Model:
     """The model in which the input's earlier values stand for the states of the law; itself where what the law delays
     is more than the input."""
     from casadi_engine.model.attach import replaced, with_drive
+    from casadi_engine.model.lags import with_delays
+    from casadi_engine.model.rates import with_rates
 
     (one,) = (e for e in model.effects if getattr(e.effect, "delays", "") and e.at == f"input_{name}")
     stem = f"{one.at}_{one.effect.name}_"
@@ -172,7 +174,8 @@ def _without_law(model: Model, name: str, lag: float) -> Model:
     wider = with_drive(wider, drive, acts, f"{name} as it acts, late", unit)
     for part, value in zip(parts, (drive, ca.SX(0), ca.SX(0)), strict=True):
         wider = replaced(wider, wider.x[states.index(part)], value)
-    return _without(wider, states=parts, drive=f"d_{parts[2]}")
+    # what sensors show by now has other rates
+    return with_rates(with_delays(_without(wider, states=parts, drive=f"d_{parts[2]}")))
 
 
 def _without(model: Model, *, states: Sequence[str], drive: str) -> Model:

@@ -83,7 +83,7 @@ def _has_bend(model: Model, rate: Any, unknown: Any) -> bool:
 
 def _has_rate(model: Model, shown: Any) -> bool:
     """True if an output, drives put in, neither jumps nor depends on torques or rates, whose rates nobody knows."""
-    unknown = ca.vertcat(model.w, model.channel_rates)
+    unknown = ca.vertcat(model.w, model.channel_rates, model.late_channels)
     return not ca.depends_on(shown, unknown) and not jumps_in(shown, ca.vertcat(model.x, model.u, model.t))
 
 

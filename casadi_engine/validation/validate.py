@@ -387,9 +387,11 @@ def _check(
     model = trace.simulated if trace.predicted is None else trace.predicted
     sizes = fit_measures(trace.measured, model, mask=trace.mask)
     held = {c.name for one in fit.data if one.name == record for c in one.channels if c.hold == "zero"}
+    late = dict(fit.model.late)  # all of such an input acts as another drive
     drives = {
         name: _before(trace.time, *values) if name in held else np.interp(trace.time, *values)
         for name, values in fit.drives[record].items()
+        if name not in late or np.ptp(values[1]) > 0
     }
     residual, mask, jacobian = trace.residual, trace.mask, None
     place = (record, output)

@@ -1,5 +1,6 @@
 """Inputs that act late, read off the record: against closed forms of a lag that a late stair or line drives."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -7,7 +8,7 @@ import casadi_engine as ce
 from casadi_engine.effects import InputDelay, InputGain, InputLag, InputOffset
 from casadi_engine.errors import IdentifiabilityError
 from casadi_engine.model.lags import lagged
-from casadi_engine.model.late_inputs import as_they_act, between, input_lags, read_late
+from casadi_engine.model.late_inputs import as_they_act, between, finer, input_lags, read_late
 from casadi_engine.simulation.grid import lay_grid
 
 TIME = 0.1 * np.arange(400)
@@ -130,11 +131,11 @@ def test_a_lag_is_kept_while_its_step_holds_the_delay():
     def lags(value, begun=True, of=own):
         return input_lags(of, {"input_u.input_delay.time": value}, data, begun=begun)
 
-    assert lags(0.58) == lags(0.504) == lags(0.497) == {"lag of input u": 0.52}
-    assert lags(0.63) == {"lag of input u": 0.63}
+    assert lags(0.539) == lags(0.521) == lags(0.519) == {"lag of input u": 0.52}  # of a fifth of a step
+    assert lags(0.51) == {"lag of input u": 0.51}
     assert lags(0.63, of=delayed(model(), 0.5)) == {}  # the law shows the way first
     assert lags(0.63, begun=False, of=delayed(model(), 0.5)) == {"lag of input u": 0.63}
-    assert lagged(own, lags(0.58)) is own
+    assert lagged(own, lags(0.53)) is own
     assert [between(lag, 0.1) for lag in (0.0, 0.0999999999, 0.55, 0.6)] == [0, 1, 5, 6]
 
 
@@ -143,17 +144,24 @@ def test_records_of_two_rates_have_lines_of_their_own():
     slow = ce.Experiment.from_arrays(
         "slow", time=TIME[::2], units={"u": "V", "y": "V"}, u=STAIR[::2], y=0 * TIME[::2]
     )
-    for data, step in ((record(), 0.1), (slow, 0.2)):
+    for data, parts in ((record(), 6), (slow, 3)):  # 5.3 and 2.65 steps: 31.8 and 7.95 parts
         grid = lay_grid(own, data)
+        assert grid.parts == parts
+        first, u = between(0.53, grid.step) * grid.step, data["u"]
         at, slope = grid.rows[-2:]
-        u = data["u"]
-        np.testing.assert_allclose(
-            at + 0.5 * slope, np.interp(grid.time - 0.5, u.time, u.values), atol=2e-1 * step
-        )
-        first = between(0.53, step) * step
-        np.testing.assert_allclose(
-            at + first * slope, np.interp(grid.time - first, u.time, u.values), atol=1e-12
-        )
+        for delay in (first, first + grid.step):
+            expected = np.interp(grid.time - delay, u.time, u.values)
+            np.testing.assert_allclose(at + delay * slope, expected, atol=1e-12)
+    run = ce.simulate(own, slow, parameters={"input_u.input_delay.time": 0.53}, initial={"x": 0.0})
+    np.testing.assert_allclose(run["y"].time, slow["u"].time, atol=1e-9)  # as the record is, not its parts
+
+
+@pytest.mark.parametrize(
+    ("lag", "parts"), [(0.5, 1), (0.5005, 1), (0.55, 2), (0.54, 5), (0.5333, 3), (0.537, 5)]
+)
+def test_a_grid_is_finer_where_a_lag_is_no_whole_number_of_steps(lag, parts):
+    """A motor whose voltage is held and late by 2.4 samples came out with numbers that were off by 57 errors."""
+    assert finer(lag, 0.1) == parts
 
 
 def test_the_exact_test_has_no_rule_for_it():
@@ -162,3 +170,19 @@ def test_the_exact_test_has_no_rule_for_it():
         ce.identifiability(own)
     assert "seen: u" in str(caught.value)
     assert "test the model without the delay of that input" in str(caught.value)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_late_sensor_beside_a_late_input_knows_no_state_of_the_law(first):
+    """A repair that tried both died: "variables [d_input_E_input_delay_bend] are free"."""
+    sensor = ce.effects.SensorDelay()
+    own = model().with_effect(sensor, at="sensor_y") if first else model()
+    own = delayed(own, 0.5)
+    own = own if first else own.with_effect(sensor, at="sensor_y")
+    read = read_late(own, {"lag of input u": 0.5})
+    known = ca.vertcat(read.x, read.u, read.d, read.w, read.t, read.p)
+    names = {one.name() for one in ca.symvar(known)}
+    written = [read.ode, read.output_expressions, *(s for port in read.ports for s in port.signals.values())]
+    assert {one.name() for one in ca.symvar(ca.vertcat(*written))} <= names
+    run = ce.simulate(read, record(), parameters={"sensor_y.sensor_delay.delay": 0.03}, initial={"x": 0.0})
+    assert np.isfinite(run["y"].values).all()
