@@ -162,6 +162,7 @@ def _is_whole(share: Estimate) -> bool:
 
 def _one_time(times: Iterable[Estimate], clock: Clock) -> str:
     """The time that all of these are within their errors, with its own; "" where there is none."""
+    times = tuple(times)
     sizes = [(one.value, one.stderr or one.quadratic or 0.0) for one in times]
     if not sizes or not all(error > 0 for _, error in sizes):
         return ""
@@ -171,4 +172,6 @@ def _one_time(times: Iterable[Estimate], clock: Clock) -> str:
     if not alike:
         return ""
     one, _ = clock.told(Estimate(mean, error, "s"), always=False)
+    if any(own.stderr is None for own in times):  # no error describes it
+        return f"about {one.value:.3g} {one.unit}"
     return f"{with_error(one.value, one.stderr)} {one.unit}"

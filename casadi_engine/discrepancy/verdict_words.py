@@ -344,7 +344,8 @@ def next_step(repair: Repair) -> str:
     if repair.confirmed is False:
         return "test it on more fresh data before you use it: those that were given do not confirm it"
     if other_cause(repair):
-        return "decide by what you know of the system which of both is late: no record of this kind tells them apart"
+        said = "decide by what you know of the system which of both is late: no record of this kind tells them apart"
+        return f"{said}{_on_fixed(repair)}"
     return f"go on with repair.fit, the repaired model: print(repair.fit){_on_fixed(repair)}"
 
 

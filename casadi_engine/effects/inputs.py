@@ -126,7 +126,8 @@ class _Behind(Effect):
     @property
     def nuisance(self) -> Mapping[str, Grid]:  # type: ignore[override]
         """The time."""
-        return time_grid(self.span, self.time)
+        # the law of a delay is to move no faster than it is integrated; what is read off the record may be any
+        return time_grid(self.span, self.time, 1 / (2 * self.shortest) if self.delays else 1.0)
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The same at rest where a record begins, with the times that it can show where none were given."""

@@ -79,6 +79,7 @@ class Grid:
     over : "value"; "time", when start and stop are shares of a record's time; "cycle", every engine cycle of a
         record (start, stop and steps are then not used)
     whole : True if it is a whole number: it is then given as a number and never estimated
+    least : lower bound of the parameter, where searches may go below start; None for start
 
     >>> Grid(80, 180, steps=3, unit="rad/s").values()
     (80.0, 130.0, 180.0)
@@ -92,6 +93,7 @@ class Grid:
     of: str | None = None
     over: str = "value"
     whole: bool = False
+    least: float | None = None
     description: str = ""
 
     def __post_init__(self) -> None:

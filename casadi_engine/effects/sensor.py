@@ -30,10 +30,14 @@ def time_constants(
     return (low, high) if low < high else None
 
 
-def time_grid(span: tuple[float, float] | None, description: str = "time constant") -> Mapping[str, Grid]:
-    """The grid of a time [s] over a span; a wide one where none is known."""
+def time_grid(
+    span: tuple[float, float] | None, description: str = "time constant", least: float = 1.0
+) -> Mapping[str, Grid]:
+    """The grid of a time [s] over a span; a wide one where none is known. least : share of its start below which the
+    time does not go"""
     low, high = span or (1e-3, 1e3)
-    return {"time": Grid(low, high, steps=6, unit="s", log=True, description=description)}
+    grid = Grid(low, high, steps=6, unit="s", log=True, least=least * low, description=description)
+    return {"time": grid}
 
 
 @dataclass(frozen=True)

@@ -417,7 +417,7 @@ def _range(grid: Grid, view: PortView) -> tuple[float, float, float]:
         return -math.inf, math.inf, 0.5 * sum(grid.ends())
     low, high = grid.ends(magnitude=magnitude)
     found = grid.values(magnitude=magnitude)
-    return low, high, found[len(found) // 2]
+    return low if grid.least is None else min(low, grid.least), high, found[len(found) // 2]
 
 
 def takes_torque(port: Port) -> bool:

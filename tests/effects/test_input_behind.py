@@ -101,6 +101,16 @@ def test_an_input_that_lacks_its_first_samples_begins_at_the_first_that_is_known
     assert found == pytest.approx(STEPS[4] + TIME[4])
 
 
+def test_a_delay_may_end_below_the_shortest_that_is_searched():
+    """1.4 samples: a lag of more than all of the input led in its place, at its bound."""
+    view = PortView(tank(), tank().ports["input_u"])
+    lag, delay = (effect.fitted(view, record(), {}) for effect in (InputLag(), InputDelay()))
+    for effect, least in ((lag, 0.05), (delay, 0.05)):
+        wider = tank().with_effect(effect, at="input_u")
+        assert wider.parameters()[f"input_u.{effect.name}.time"].min == pytest.approx(least)
+    assert delay.nuisance["time"].start == pytest.approx(0.2)
+
+
 def test_a_constant_input_is_not_looked_at():
     model = tank()
     candidates = ce.effects.candidates(
