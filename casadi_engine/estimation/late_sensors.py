@@ -17,7 +17,7 @@ from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.lower_optimum import merit
 from casadi_engine.model import Model
 from casadi_engine.model.lags import delays, far_from_lags, is_late, lagged, with_nearest_lags
-from casadi_engine.model.late_inputs import input_lags, late_inputs
+from casadi_engine.model.late_inputs import input_lags, late_inputs, shortest_step
 from casadi_engine.parameters import Parameters
 
 # Times that samples are read anew. A delay as long as the motion takes to turn arrives after three.
@@ -84,7 +84,23 @@ def _read_late(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
                 continue
         break
     states = len(fit.model.states) - len(found.model.states)
+    found = _with_long_errors(found)
     return found if merit(found) <= merit(fit) + _FEWER * states * len(fit.data) else fit
+
+
+def _with_long_errors(fit: Fit) -> Fit:
+    """The fit, with a word on errors of late inputs that are longer than the steps between which these go along a line:
+    beyond them nothing of the record was looked at."""
+    step, said = shortest_step(fit.model, fit.data), []
+    for name, delay in late_inputs(fit.model).items():
+        found = fit.estimates.get(delay)
+        error = 0.0 if found is None else found.stderr or found.quadratic or 0.0
+        if name in dict(fit.model.late) and 2 * error > step > 0:
+            said.append(
+                f"the error of {delay} is longer than a step of the record, over which {name} is taken to go along a "
+                f'line: ce.profile(fit, "{delay}") reads the record at each of its values'
+            )
+    return replace(fit, messages=(*fit.messages, *said)) if said else fit
 
 
 def _best(ends: list[Fit]) -> Fit:

@@ -74,6 +74,11 @@ def between(lag: float, step: float) -> int:
     return max(int(np.floor(lag / step + _WHOLE)), 0)
 
 
+def shortest_step(model: Model, records: Sequence[Experiment]) -> float:
+    """The typical step [s] of the fastest channel of these records; 0 where there is none."""
+    return min((step for step in (_step(model, record) for record in records) if step > 0), default=0.0)
+
+
 def finer(lag: float, step: float) -> int:
     """By how much finer than its record a grid is on which a lag is of whole steps, as nearly as jumps need."""
     for parts in range(1, 100):

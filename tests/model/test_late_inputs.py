@@ -186,3 +186,17 @@ def test_a_late_sensor_beside_a_late_input_knows_no_state_of_the_law(first):
     assert {one.name() for one in ca.symvar(ca.vertcat(*written))} <= names
     run = ce.simulate(read, record(), parameters={"sensor_y.sensor_delay.delay": 0.03}, initial={"x": 0.0})
     assert np.isfinite(run["y"].values).all()
+
+
+@pytest.mark.parametrize(("noise", "told"), [(0.005, False), (3.0, True)])
+def test_an_error_that_is_longer_than_a_step_is_said_to_be_along_a_line(noise, told):
+    own = delayed(model(), 0.5, span=(0.2, 10.0))
+    pars = own.parameters()
+    pars["input_u.input_delay.share"].set(1.0, vary=False)
+    pars["input_u.input_delay.time"].set(0.5, vary=True)
+    for name in ("k", "g"):
+        pars[name].vary = False
+    data = record(truth(0.5, "first"), noise=noise)
+    fit = ce.estimate(own, data, parameters=pars, noise=ce.Noise(y=noise), progress=False)
+    words = "the error of input_u.input_delay.time is longer than a step of the record"
+    assert any(one.startswith(words) for one in fit.messages) is told
