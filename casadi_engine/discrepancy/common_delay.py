@@ -85,11 +85,12 @@ def late_input(repair: Repair) -> str:
 
 def other_cause(repair: Repair) -> str:
     """What may be late in place of what was found to be, one clause; "" where nothing else shows the same."""
-    if common_delay(repair):
+    if said := common_delay(repair):
         inputs = [variable.name for variable in repair.model.inputs]
-        return f"{inputs[0]} acts late" if len(inputs) == 1 else "the inputs act late"
-    if late_input(repair):
-        return "the sensors are late"
+        how = "behind" if "through a lag" in said else "late"
+        return f"{inputs[0]} acts {how}" if len(inputs) == 1 else f"the inputs act {how}"
+    if said := late_input(repair):
+        return f"the sensors are {'behind' if ' behind by ' in said else 'late'}"
     return ""
 
 
@@ -173,5 +174,8 @@ def _one_time(times: Iterable[Estimate], clock: Clock) -> str:
         return ""
     one, _ = clock.told(Estimate(mean, error, "s"), always=False)
     if any(own.stderr is None for own in times):  # no error describes it
-        return f"about {one.value:.3g} {one.unit}"
+        ends = clock.told(times[0], always=False)[0].interval if len(times) == 1 else None
+        if ends is None or None in ends:
+            return f"about {one.value:.3g} {one.unit}"
+        return f"{one.value:.4g} ({ends[0]:.4g} to {ends[1]:.4g}) {one.unit}"
     return f"{with_error(one.value, one.stderr)} {one.unit}"

@@ -183,3 +183,4 @@ def test_which_other_cause_is_said_in_a_clause():
     assert other_cause(late((0.0193, 0.0003), outputs=1)) == "u acts late"
     assert other_cause(acting_late("input_delay", bends=True)) == "the sensors are late"
     assert other_cause(late((0.0193, 0.0003))) == ""
+    assert other_cause(acting_late("input_lag")) == "the sensors are behind"
