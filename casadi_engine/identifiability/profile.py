@@ -268,10 +268,10 @@ class _Walker:
         centre = _Point(own.value, 0.0, self.fit)
         down, low, low_why = self._side(name, centre, -1.0)
         up, high, high_why = self._side(name, centre, +1.0)
-        low_why = self._beyond(name, low, -1.0) or low_why
-        high_why = self._beyond(name, high, +1.0) or high_why
-        low = None if low_why else low
-        high = None if high_why else high
+        if other := self._beyond(name, low, -1.0):
+            low, low_why = None, other
+        if other := self._beyond(name, high, +1.0):
+            high, high_why = None, other
         course = [*reversed(down), centre, *up]
         others = {
             other: np.array([point.fit.values[other] for point in course])

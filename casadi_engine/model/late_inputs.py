@@ -71,7 +71,7 @@ def _holds(lag: float, step: float, delay: float) -> bool:
 
 def between(lag: float, step: float) -> int:
     """Whole steps of a grid in a lag."""
-    return max(int(np.floor(lag / step + _WHOLE)), 0)
+    return int(np.floor(lag / step + _WHOLE))
 
 
 def shortest_step(model: Model, records: Sequence[Experiment]) -> float:
@@ -99,12 +99,13 @@ def read_late(model: Model, lags: Mapping[str, float]) -> Model:
 def as_they_act(model: Model) -> dict[str, tuple[str, Any]]:
     """Drive -> the parameter of its delay, and what acts that much later, in the channels; of inputs that are read off
     the record."""
-    found, names = {}, [one.name for one in model.drives]
-    channels = [one.name for one in model.inputs]
+    found, channels = {}, [one.name for one in model.inputs]
+    drives = list(zip(model.drives, ca.vertsplit(model.drive_expressions), strict=True))
     for row, (name, _) in enumerate(model.late):
-        value, (at, slope) = model.drive_expressions[names.index(_drive(name))], _parts(model, row)
+        at, slope = _parts(model, row)
+        drive, value = next((one, own) for one, own in drives if ca.depends_on(own, at))
         here, _ = ca.substitute([value, slope], [at, slope], [model.u[channels.index(name)], ca.SX(0)])
-        found[_drive(name)] = late_inputs(model)[name], ca.simplify(here)
+        found[drive.name] = late_inputs(model)[name], ca.simplify(here)
     return found
 
 
@@ -173,7 +174,10 @@ def _without_law(model: Model, name: str, lag: float) -> Model:
         return model
     late = [ca.SX.sym(f"{name}_late_{part}") for part in ("at", "slope")]
     acts = ca.substitute(passed, symbol, late[0] + _delay(model, name) * late[1])
-    drive = ca.SX.sym(_drive(name))
+    called, taken = f"{name}_late", {*drives, *states, *(v.name for v in (*model.inputs, *model.outputs))}
+    while called in taken | {*model.parameter_names}:
+        called += "_"
+    drive = ca.SX.sym(called)
     unit = model.inputs[[v.name for v in model.inputs].index(name)].unit
     wider = replace(model, u=ca.vertcat(model.u, *late), late=(*model.late, (name, lag)))
     wider = with_drive(wider, drive, acts, f"{name} as it acts, late", unit)
@@ -201,8 +205,3 @@ def _without(model: Model, *, states: Sequence[str], drive: str) -> Model:
 
 def _delay(model: Model, name: str) -> Any:
     return model.p[model.parameter_names.index(late_inputs(model)[name])]
-
-
-def _drive(name: str) -> str:
-    """What the drive is called that is an input as it acts."""
-    return f"{name}_late"

@@ -284,3 +284,14 @@ def test_a_prior_counts_while_its_parameter_is_held():
     low, high = interval.low, interval.high
     np.testing.assert_allclose([low, high], middle + 1.96 * np.array([-1, 1]) / np.sqrt(weight), rtol=2e-3)
     assert not any("less than the fit" in words for words in found.messages)
+
+
+def test_an_end_that_was_found_stays_where_a_refit_beyond_it_failed(monkeypatch):
+    _, _, data = line_data()
+    fit = ce.estimate(linear_model(), data, noise=ce.Noise(y=0.3), progress=False)
+    ends = {-1.0: ([], 1.5, f"{LOST} failed further on"), 1.0: ([], 2.5, None)}
+    monkeypatch.setattr(module._Walker, "_side", lambda self, name, centre, sign: ends[sign])
+    interval = profile(fit, "b", points=3)["b"].interval
+    assert (interval.low, interval.high) == (1.5, 2.5)
+    assert interval.low_why == f"{LOST} failed further on"
+    assert not interval.lost

@@ -136,7 +136,7 @@ def test_a_lag_is_kept_while_its_step_holds_the_delay():
     assert lags(0.63, of=delayed(model(), 0.5)) == {}  # the law shows the way first
     assert lags(0.63, begun=False, of=delayed(model(), 0.5)) == {"lag of input u": 0.63}
     assert lagged(own, lags(0.53)) is own
-    assert [between(lag, 0.1) for lag in (0.0, 0.0999999999, 0.55, 0.6)] == [0, 1, 5, 6]
+    assert [between(lag, 0.1) for lag in (-0.25, 0.0, 0.0999999999, 0.55, 0.6)] == [-3, 0, 1, 5, 6]
 
 
 def test_records_of_two_rates_have_lines_of_their_own():
@@ -200,3 +200,22 @@ def test_an_error_that_is_longer_than_a_step_is_said_to_be_along_a_line(noise, t
     fit = ce.estimate(own, data, parameters=pars, noise=ce.Noise(y=noise), progress=False)
     words = "the error of input_u.input_delay.time is longer than a step of the record"
     assert any(one.startswith(words) for one in fit.messages) is told
+
+
+@pytest.mark.parametrize("ahead", [-1.0, -0.3])
+def test_an_input_that_acts_early_is_read_where_it_is_too(ahead):
+    run = ce.simulate(
+        delayed(model(), 0.5), record(), parameters={"input_u.input_delay.time": ahead}, initial={"x": 0.3}
+    )
+    off = run["y"].values - truth(ahead, "first")
+    assert np.sqrt(np.mean(off**2)) < 5e-4
+
+
+def test_a_channel_that_is_called_as_the_late_one_keeps_its_name():
+    b = ce.Blueprint("two", time_unit="s")
+    x, u, other = b.state("x", unit="V"), b.input("u", unit="V"), b.input("u_late", unit="V")
+    b.ode("x", u + other - x)
+    b.output("y", x, unit="V")
+    lines = read_late(delayed(b.model(), 0.5), {"lag of input u": 0.5}).equations().splitlines()
+    assert lines.count("u_late_ = u(t - input_u.input_delay.time)") == 1
+    assert not any(line.startswith("u_late =") for line in lines)
