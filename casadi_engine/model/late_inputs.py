@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 # Steps by which a delay may lie outside the step of a record in which its input is read, and outside a finer one.
 _NEAR, _NEAR_FINE = 0.05, 0.1
 # Squared steps by which what acts over a step may be off in its second moment, as a jump within it is spread over all
-# of it: a thirtieth of the most that it may be.
-_SPREAD = 0.004
+# of it: a sixtieth of the most that it may be. At twice as much a rotor was off by 2.7 errors.
+_SPREAD = 0.002
 # Share of a step within which a lag is of whole ones.
 _WHOLE = 1e-6
 # What a lag of an input is known by beside those of outputs.

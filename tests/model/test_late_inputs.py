@@ -144,7 +144,7 @@ def test_records_of_two_rates_have_lines_of_their_own():
     slow = ce.Experiment.from_arrays(
         "slow", time=TIME[::2], units={"u": "V", "y": "V"}, u=STAIR[::2], y=0 * TIME[::2]
     )
-    for data, parts in ((record(), 6), (slow, 3)):  # 5.3 and 2.65 steps: 31.8 and 7.95 parts
+    for data, parts in ((record(), 7), (slow, 6)):  # 5.3 and 2.65 steps: 37.1 and 15.9 parts
         grid = lay_grid(own, data)
         assert grid.parts == parts
         first, u = between(0.53, grid.step) * grid.step, data["u"]
@@ -157,7 +157,7 @@ def test_records_of_two_rates_have_lines_of_their_own():
 
 
 @pytest.mark.parametrize(
-    ("lag", "parts"), [(0.5, 1), (0.5005, 1), (0.55, 2), (0.54, 5), (0.5333, 3), (0.537, 5)]
+    ("lag", "parts"), [(0.5, 1), (0.5003, 1), (0.55, 2), (0.54, 5), (0.5333, 3), (0.537, 8)]
 )
 def test_a_grid_is_finer_where_a_lag_is_no_whole_number_of_steps(lag, parts):
     """A motor whose voltage is held and late by 2.4 samples came out with numbers that were off by 57 errors."""
