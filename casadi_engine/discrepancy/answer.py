@@ -247,7 +247,7 @@ class Answer:
         that is missing looks like that."""
         null, path = last.screened.null, self.search.refits.path
         priors = priors_of(null, path.parameters(last.effects), last.effects)
-        at_sensors = [one.amplitude for one in last.effects if one.kind in ("sensor", "input")]
+        at_sensors = [one.amplitude for one in last.effects if one.kind in ("sensor", "cross", "input")]
         return any(
             abs(value - prior.centre) > _LARGE * prior.deviation
             for name, value in zip(null.parameters, null.values, strict=True)

@@ -73,7 +73,7 @@ def reason_to_withdraw(
         return small if beside is None else replace(beside, sentence=f"{beside.sentence}; {small.sentence}")
     noise, proof = claim.last.screened.noise, claim.proof
     ports = null.fit.model.ports
-    instruments = all(ports[one.at].kind in ("sensor", "input") for one in claim.found)
+    instruments = all(ports[one.at].kind in ("sensor", "cross", "input") for one in claim.found)
     told = claim.unknown is not None
     if not told and not (instruments and claim.last.screened.choice.is_coloured):
         return None

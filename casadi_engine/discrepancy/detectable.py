@@ -86,7 +86,7 @@ def prior_scales(screened: Screened) -> Array:
             with np.errstate(divide="ignore"):
                 found = np.minimum(found, np.where(moved > 0, varied / moved, np.inf))
     kinds = [ports[one.port].kind for one in screened.candidates]
-    share = np.array([SENSOR if kind == "sensor" else PHYSICAL for kind in kinds])
+    share = np.array([SENSOR if kind in ("sensor", "cross") else PHYSICAL for kind in kinds])
     stated = np.array(
         [
             kind == "parameter" and one.unit == "1"
@@ -122,7 +122,7 @@ def _beyond(size: float, ratio: float, screened: Screened, k: int) -> str:
     times = f"{ratio:.2g} times"
     if kind == "parameter" and screened.candidates[k].unit == "1":
         return f"it would have to be wrong by {100 * size:.2g} %"
-    if kind == "sensor":
+    if kind in ("sensor", "cross"):
         return f"it would have to be {times} as large as {100 * SENSOR:.0f} % of what the output varies by"
     return f"it would have to move an output by {times} what that varies by"
 

@@ -73,8 +73,8 @@ def functions_of(null: NullModel, port: str, signal: str) -> tuple[list[Candidat
 
 def _places(null: NullModel) -> list[tuple[Port, Signal]]:
     """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter, the
-    difference across it and what ports show of several states, at a sensor time and the inputs that no equation uses,
-    and at the other inputs these."""
+    difference across it and what ports show of several states, at a sensor time, the other outputs and the inputs that
+    no equation uses, and at the other inputs these."""
     model = null.model
     # a state of an effect that may be withdrawn is none that a law is told by
     lent = tuple(f"{one.at}_{one.effect.name}_" for one in model.effects)
@@ -95,12 +95,22 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
             found += [(port, Signal(name, one, along(null, one))) for name, one in more.items()]
         elif port.kind == "sensor":
             found += [(port, made[name]) for name in (TIME, *unused)]
+            felt = felt_by(model, port)
+            found += [(port, Signal(name, one, along(null, one))) for name, one in felt.items()]
         elif port.kind == "input" and port.name.removeprefix("input_") not in unused:
             found += [(port, made[name]) for name in unused]
         elif port.slot is not None:
             own = list(port.signals.values())
             found += [(port, made[name]) for name, symbol in every if not _is_known(symbol, own)]
     return found
+
+
+def felt_by(model: Model, sensor: Port) -> dict[str, ca.SX]:
+    """The other outputs, of which what a sensor shows may be a function too."""
+    outputs = {one.name for one in model.outputs}
+    crosses = (one for one in model.ports.crosses if one.ends == (sensor.name,))
+    named = ((one.name.removesuffix(f"_to_{sensor.name}"), one.signals["input"]) for one in crosses)
+    return {name: signal for name, signal in named if name in outputs}
 
 
 def drops_of(model: Model, port: Port) -> dict[str, ca.SX]:

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_engine.discrepancy.elsewhere_families import DROP, SHOWN, drops_of, shown_at_ports
+from casadi_engine.discrepancy.elsewhere_families import DROP, SHOWN, drops_of, felt_by, shown_at_ports
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.random_families import TIME, Family, smooth_family, terms_at
@@ -119,6 +119,7 @@ def setups_elsewhere(refits: Refits, tried: Tried, family: Family) -> list[Setup
     port = plain.ports[family.port]
     known |= drops_of(plain, port) if family.signal.startswith(DROP) else {}
     known |= shown_at_ports(plain) if family.signal.startswith(SHOWN) else {}
+    known |= felt_by(plain, port) if port.kind == "sensor" else {}
     if family.signal not in known:
         return []
     symbol = known[family.signal]

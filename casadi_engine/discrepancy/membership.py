@@ -44,8 +44,7 @@ def strange(effects: Sequence[Addition]) -> int:
     """How many effects are of another world than their port: what slides has dry friction, and heat has none; and what
     acts by a channel from elsewhere is farther off than what acts by itself."""
     sliding = [one.candidate for one in effects if getattr(one.candidate.source.effect, "slides", False)]
-    may = [one for one in effects if "path" in getattr(one.candidate.source.effect, "attaches", ())]
-    far = sum(one.kind == "path" for one in may)
+    far = sum(one.kind in ("path", "cross") for one in effects)
     return far + sum(not one.source.model.ports[one.port].is_mechanical for one in sliding)
 
 

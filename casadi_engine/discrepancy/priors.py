@@ -64,7 +64,7 @@ def _amplitude(null: NullModel, k: int, one: Addition) -> float:
     if kind in ("sensor", "input") and one.bounds.name == "gain" and value > WRONG:
         # no calibration, but units that were exchanged or edges counted twice, at either end alike
         return value
-    share = {"sensor": SENSOR, "input": RECORDED}.get(kind, PHYSICAL)
+    share = {"sensor": SENSOR, "cross": SENSOR, "input": RECORDED}.get(kind, PHYSICAL)
     step = float(np.linalg.norm(null.turn[k]))
     direction = int(np.argmax(np.abs(null.turn[k])))
     sizes = []

@@ -12,6 +12,7 @@ from casadi_engine.lazy import import_at_first_use
 if TYPE_CHECKING:
     from casadi_engine.effects.candidate import Candidate, candidate, candidates, cycles_of
     from casadi_engine.effects.combustion import CylinderImbalance, Misfire
+    from casadi_engine.effects.cross_sensitivity import CrossSensitivity
     from casadi_engine.effects.events import by_record
     from casadi_engine.effects.friction import (
         AsymmetricFriction,
@@ -49,6 +50,7 @@ __all__ = [
     "Candidate",
     "ConstantTorque",
     "CoulombFriction",
+    "CrossSensitivity",
     "CubicStiffness",
     "CylinderImbalance",
     "Effect",
@@ -96,6 +98,7 @@ import_at_first_use(
     {
         "casadi_engine.effects.candidate": ("Candidate", "candidate", "candidates", "cycles_of"),
         "casadi_engine.effects.combustion": ("CylinderImbalance", "Misfire"),
+        "casadi_engine.effects.cross_sensitivity": ("CrossSensitivity",),
         "casadi_engine.effects.events": ("by_record",),
         "casadi_engine.effects.friction": (
             "AsymmetricFriction",

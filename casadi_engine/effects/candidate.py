@@ -402,15 +402,15 @@ def responses(model: Model, port: Port, value: Any) -> tuple[Any, Any, Any, Any]
     drives = ca.SX.zeros(model.d.numel(), 1)
     outputs = ca.SX.zeros(len(model.outputs), 1)
     value, arrives = ca.vertsplit(value)
+    if port.kind in ("sensor", "cross"):
+        sensors = [made.name for made in model.ports if made.kind == "sensor"]
+        outputs[sensors.index((port.ends or (port.name,))[0])] = value
+        return slots, drives, outputs, None
     if takes_torque(port) or port.ends:
         rows = [made.name for made in model.ports.with_slot]
         parts = (-value, arrives) if len(port.ends) > 1 else (value,)
         for name, part in zip(port.ends or (port.name,), parts, strict=True):
             slots[rows.index(name)] = part
-        return slots, drives, outputs, None
-    if port.kind == "sensor":
-        sensors = [made.name for made in model.ports if made.kind == "sensor"]
-        outputs[sensors.index(port.name)] = value
         return slots, drives, outputs, None
     if port.kind == "input":
         name = port.name.partition("_")[2]

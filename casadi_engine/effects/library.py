@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from casadi_engine.effects.combustion import CylinderImbalance, Misfire
+from casadi_engine.effects.cross_sensitivity import CrossSensitivity
 from casadi_engine.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
@@ -59,6 +60,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         SensorDelay(),
         SensorLag(),
         SensorGain(),
+        CrossSensitivity(),
         InputGain(),
         InputOffset(),
         InputLag(),

@@ -49,6 +49,9 @@ def attach(
     elif term.port.kind == "path":
         (end,) = term.port.ends
         wider = _with_torque(wider, replace(term, port=wider.ports[end]))
+    elif term.port.kind == "cross":
+        (end,) = term.port.ends
+        wider = _with_output(wider, replace(term, port=wider.ports[end]))
     elif term.port.ends:
         first, second = term.port.ends
         wider = _with_torque(wider, replace(term, port=wider.ports[first], value=-term.value))

@@ -402,7 +402,10 @@ class Blueprint:
             Port(f"input_{name}", "input", f"channel {name}", {"value": symbol}, units=_of(one.unit))
             for name, (one, symbol) in self._inputs.items()
         ]
-        added += [Port(f"sensor_{name}", "sensor", f"output {name}") for name in self._outputs]
+        added += [
+            Port(f"sensor_{name}", "sensor", f"output {name}", units=_of(one.unit))
+            for name, (one, _) in self._outputs.items()
+        ]
         added += [
             Port(f"parameter_{name}", "parameter", f"parameter {name}", {"value": symbol, "time": self._time})
             for name, (_, symbol) in self._parameters.items()

@@ -104,6 +104,8 @@ class ParameterDeclaration:
 
 # An expression of so many characters is read in a sentence.
 _SHORT = 24
+# Operations down to which expressions are compared.
+_DEEP = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +121,7 @@ class Port:
         first side, and its opposite on the other.
     unit : of the slot
     ends : names of the two ports that a link or pipe joins; what an effect adds there leaves the first and enters the
-        second; of a path the port at which it acts
+        second; of a path the port at which it acts, of a cross the sensor
     units : signal -> its unit, of those whose unit is known
     why_no_unit : why the unit of the slot is not stated, where the equations leave it open
     """
@@ -149,11 +151,11 @@ class Port:
                 allowed="links and pipes that the model makes of its inertias by itself",
                 cure="declare both inertias; what joins them is called a_and_b",
             )
-        if self.kind == "path" and len(self.ends) != 1:
+        if self.kind in ("path", "cross") and len(self.ends) != 1:
             raise ModelError(
-                f"the port {self.name} is a path without an end",
+                f"the port {self.name} is a {self.kind} without an end",
                 seen=f"ends = {self.ends!r}",
-                allowed="paths that the model makes of its inputs and inertias by itself",
+                allowed="paths and crosses that the model makes of its inputs, inertias and outputs by itself",
                 cure="declare the input u and the inertia a; the path is called u_to_a",
             )
         object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
@@ -195,7 +197,7 @@ class Port:
         if not (acting or angle):
             return text
         if (
-            self.kind == "path"
+            self.kind in ("path", "cross")
             and self.units.get("input", NOT_STATED) == NOT_STATED
             and "difference" not in self.signals
         ):
@@ -219,7 +221,7 @@ class Port:
         >>> slide.contradicts("N/m"), slide.contradicts("kN/m"), slide.contradicts("N m/rad"), slide.contradicts("kg")
         ('N/mm', '', '', '')
         """
-        if text == NOT_STATED or follows_port(text) or self.kind in ("input", "sensor", "parameter"):
+        if text == NOT_STATED or follows_port(text) or self.kind in ("input", "sensor", "cross", "parameter"):
             return ""
         signals = [unit for unit in (self._place, self._motion) if self.units and unit is not None]
         made = [unit_product((signal, 1)) for signal in signals]
@@ -374,10 +376,34 @@ class Ports(Sequence[Port]):
                     found.append(Port(f"{name}_to_{a.name}", "path", words, own, None, a.unit, end, every))
         return tuple(found)
 
+    @cached_property
+    def crosses(self) -> tuple[Port, ...]:
+        """A cross ``y_to_sensor_z`` from every output y, and every input y that is none, to the sensor of every other
+        output z, with the signal ``input``, which is y, and, where both have one unit, ``difference``, by which y is
+        above z. Crosses are found by name, as links are, and are not listed among the ports."""
+        shown = [one for one in self._ports if one.kind == "sensor" and "value" in one.signals]
+        known = {one.name.removeprefix("sensor_") for one in shown}
+        others = [one for one in self._ports if one.kind == "input" and "value" in one.signals]
+        others = [one for one in others if one.name.removeprefix("input_") not in known]
+        found = []
+        for one in (*shown, *others):
+            name, unit = one.name.partition("_")[2], one.units.get("value")
+            for z in shown:
+                if z is one or ca.is_equal(z.signals["value"], one.signals["value"], _DEEP):
+                    continue
+                own, own_unit = {"input": one.signals["value"]}, z.units.get("value", NOT_STATED)
+                units = {} if unit is None else {"input": unit}
+                if unit is not None and unit == own_unit:
+                    own["difference"] = own["input"] - z.signals["value"]
+                    units["difference"] = unit
+                words, end = f"{name} acts on {z.name}", (z.name,)
+                found.append(Port(f"{name}_to_{z.name}", "cross", words, own, None, own_unit, end, units))
+        return tuple(found)
+
     @property
     def unlisted(self) -> tuple[Port, ...]:
-        """Links and paths."""
-        return (*self.links, *self.paths)
+        """Links, paths and crosses."""
+        return (*self.links, *self.paths, *self.crosses)
 
     @overload
     def __getitem__(self, key: int | str) -> Port: ...

@@ -36,6 +36,7 @@ _MAY_USE: Mapping[str, tuple[str, ...]] = {
     "path": ("x", "u", "d", "t", "p"),
     "input": ("u", "t", "p"),
     "sensor": ("x", "u", "d", "w", "t", "p"),
+    "cross": ("x", "u", "d", "w", "t", "p"),
     "parameter": ("t", "p"),
 }
 _WORDS = {

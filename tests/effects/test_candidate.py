@@ -289,7 +289,7 @@ def test_the_library_by_name():
         "ground_spring", "cubic_stiffness", "backlash", "hidden_storage", "relaxation",
         "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_drift", "sensor_delay",
         "sensor_lag",
-            "sensor_gain",
+            "sensor_gain", "cross_sensitivity",
         "input_gain",
         "input_offset", "input_lag", "input_delay", "input_path",
         "transfer",
