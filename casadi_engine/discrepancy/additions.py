@@ -51,6 +51,8 @@ AGAIN = 3
 _NESTED, _SMALL = 1.0, 0.02
 # Log likelihood that a further effect has to promise to be refitted.
 _NOTHING = 1.0
+# Effects that do most by one step along the model without any, which are refitted where they may be a rival by that.
+_FOREMOST = 4
 # Seconds of refits from which functions of no name are asked to show the way, where nothing has come near the motion:
 # as long as the refits have taken, and again when these have taken as long again.
 _WORTH = 2.0
@@ -223,6 +225,7 @@ class Additions:
         if linear:
             self.lead, self.start = step, start_without(best.arrived, best.newest(self.here))
         left = self._promising(best, step, rest, clearly=not linear)
+        left += [key for key in self._foremost(best, step, rest) if key not in left]
         # a delay and a lag of one channel are far from one another by a step, and not by their refits, and what is late
         # behind an input is late in a sensor; so are two laws of one signal at one port
         effect, port = best.newest(self.here).candidate.key
@@ -241,6 +244,18 @@ class Additions:
         self.left_out |= {key: cost[key] for key in rest if key not in left}
         # which of the laws of that signal there it is makes the name: these come next
         return sorted(left, key=lambda k: k[1] != port or not moved or self._moving(k) != moved)
+
+    def _foremost(self, best: Tried, step: OneStep, rest: Sequence[Family]) -> list[Family]:
+        """Of the effects that do most by one step along the model without any those that may be a rival by that: where
+        the best one so far is a wrong name, its parameters may be far from those beside the right one, and a step in
+        its place tells nothing of that."""
+        if self.here.effects:
+            return []
+        cost = costs_of(self.screened, self.at_here, self.families)
+        none = min(self.here.arrived.cost, step.none)
+        most = rival(self.refits, best.arrived.cost, none, self.screened)
+        first = sorted(cost, key=cost.__getitem__)[:_FOREMOST]
+        return [key for key in first if key in rest and cost[key] < most]
 
     def _moving(self, key: Family) -> set[str]:
         """See ``unknown_law.moving``."""

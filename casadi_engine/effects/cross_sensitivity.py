@@ -18,8 +18,8 @@ _BEYOND = 0.2
 class CrossSensitivity(Effect):
     """A sensor that feels another quantity too, y + coefficient (z - right_at).
 
-    It acts at a cross, ``z_to_sensor_y``, from another output of the model, or an input that was recorded and that no
-    equation uses, such as the temperature of the room. It is right where z is ``right_at``: at the temperature of its
+    It acts at a cross, ``z_to_sensor_y``, from another output of the model, or from an input, as the temperature of
+    the room or a heater that shines on a thermometer. It is right where z is ``right_at``: at the temperature of its
     calibration, at no load. Of two temperatures it takes a share of their difference, y + coefficient (z - y): heat
     that comes to a thermometer along its stem.
 

@@ -166,7 +166,7 @@ class Effect:
     name : identifier; parameters are called ``port.name.parameter``
     attaches : kinds of ports: inertia, coupling, cylinder, input, sensor, parameter, link (between two shafts
         or masses), pipe (between two of anything else), path (from an input to a port), cross (from an output, or an
-        input that acts on nothing, to the sensor of another output)
+        input, to the sensor of another output)
     kin : names of effects that look alike, for the reader of a class
     limit : name of the simpler effect that this one becomes at an end or in the middle of its
         grid; "" for none. limit_at : the nuisance parameter at whose bound it is that one, "" for none; limit_end :

@@ -1,4 +1,4 @@
-"""Paths and crosses: an input of a model that may act at a further port, and what a further sensor may feel."""
+"""Paths: an input of a model that may act at a further port."""
 
 from __future__ import annotations
 
@@ -60,14 +60,6 @@ def is_further(model: Model, path: Port, effect: Any) -> bool:
         if not found[:, 0].any() or levers or np.linalg.norm(left) > _ALIKE:
             return False
     return bool(np.linalg.matrix_rank(found[:, :2], tol=_ALIKE) > 1)
-
-
-def is_cause(model: Model, cross: Port) -> bool:
-    """True if a sensor may feel what a cross begins at: another output, or an input that was recorded and acts on
-    nothing. What an input that acts does at once at a sensor looks like much that is quick."""
-    (end,) = cross.ends
-    name = cross.name.removesuffix(f"_to_{end}")
-    return any(out.name == name for out in model.outputs) or name in model.idle_inputs
 
 
 def _exponents(port: Port) -> object:

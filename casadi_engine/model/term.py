@@ -16,7 +16,7 @@ from casadi_engine.effects.protocol import PORT_KINDS, Effect, Grid, check_effec
 from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import ParameterDeclaration, Port
 from casadi_engine.model.law_checks import OwnState, check_null, check_symbols, check_units, read_law
-from casadi_engine.model.paths import is_cause, is_further
+from casadi_engine.model.paths import is_further
 from casadi_engine.model.port_view import MissingSignalError, PortView, TrialView, Values
 from casadi_engine.parameters import near_matches
 
@@ -150,7 +150,7 @@ def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:
         *listed,
         *(link for link in links if not joined(model, link)),
         *(path for path in paths if is_further(model, path, effect)),
-        *(cross for cross in crosses if is_cause(model, cross)),
+        *crosses,
     )
 
 

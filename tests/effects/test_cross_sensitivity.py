@@ -60,12 +60,15 @@ def record(name, seed, torque_felt=lambda warm, room: 0.0, stem=0.0, room=False)
     return ce.Experiment.from_arrays(name, time=TIME, units=own, **columns)
 
 
-def test_it_acts_from_other_outputs_and_from_inputs_that_no_equation_uses():
+def test_it_acts_from_other_outputs_and_from_inputs():
     assert "cross_sensitivity" in [one.name for one in library()]
     names = [port.name for port in ports_for(mixer(room=True), CrossSensitivity())]
     others = {"n": ("torque", "T_bath"), "torque": ("n", "T_bath"), "T_bath": ("n", "torque")}
     outputs = [f"{one}_to_sensor_{other}" for one, every in others.items() for other in every]
-    assert names == [*outputs, *(f"T_room_to_sensor_{other}" for other in others)]
+    assert names == [
+        *outputs,
+        *(f"{one}_to_sensor_{other}" for one in ("M", "T_out", "T_room") for other in others),
+    ]
 
 
 def test_the_law_in_the_units_of_both():
