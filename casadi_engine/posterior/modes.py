@@ -111,7 +111,7 @@ def find_modes(
         rivals = sorted((one for one in found[1:] if searches.near(one[2])), key=lambda one: one[2])
         searches.until_idle([at for x, matrix, _ in rivals[:_AGAIN] for at in along(x, inverse(matrix))])
     best = sorted(found, key=lambda one: one[2])[: _AGAIN if wide else 1]
-    paths = [valleys(target, x, matrix, _DIRECTIONS if wide else 1) for x, matrix, _ in best]
+    paths = [valleys(target, x, matrix, _DIRECTIONS) for x, matrix, _ in best]
     searches.several([one for path in paths for one in path.onwards[:_AGAIN]])
     ends = [(x, matrix) for x, matrix, _ in found]
     at, information, height = _dense(target, ends)

@@ -3,7 +3,7 @@
 Draws that are proposed from the quadratics at optima do not find a thin valley that goes on for many standard errors,
 and weights cannot tell what no draw has met. Along each of the directions that the data tell least of, the density is
 looked at four standard errors away, everything else at its best; where it has not fallen as the quadratic foretells,
-the valley is followed to its end.
+the valley is followed to its end. Where a direction leads out of the bounds, one parameter is moved in its place.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ def valleys(target: Target, centre: Array, information: Array, directions: int) 
     found = Valley([], [], [], [])
     for k in range(min(directions, len(order))):
         for side in (-1.0, 1.0):
-            _Side(target, centre, axes, k, side).follow(found)
+            if not _Side(target, centre, axes, k, side).follow(found):
+                _Walled(target, centre, axes, k, side).follow(found)
     return found
 
 
@@ -80,13 +81,15 @@ class _Side:
         self._way, self._rest = side * axes[:, k], np.delete(axes, k, axis=1)
         self._top, self._prior = _height(target, centre), between(target)
 
-    def follow(self, found: Valley) -> None:
-        """Add the points of the valley on this side."""
+    def follow(self, found: Valley) -> bool:
+        """Add the points of the valley on this side; False where nothing can be said of it."""
         centre = _Point(0.0, np.zeros(self._rest.shape[1]), self._centre, 0.0, np.zeros(0))
         looked = [self._point(far, centre.near) for far in LOOKED]
         found.looked.extend(one.at for one in looked if one is not None)
+        if looked[-1] is None and not isinstance(self, _Walled):
+            return False
         if looked[-1] is not None and looked[-1].drop > HOLDS * 0.5 * LOOKED[-1] ** 2:
-            return
+            return True
         before, last, lowest, step = centre, centre, 0.0, STEP
         for _ in range(MOST):
             there = self._onwards(before, last, step)
@@ -98,6 +101,7 @@ class _Side:
             found.at.append(there.at)
             found.information.append(there.information)
             before, last, step = last, there, STEP * min(self._error(there), 1.0)
+        return True
 
     def _onwards(self, before: _Point, last: _Point, step: float) -> _Point | None:
         """The next point from the last one; None at a bound, and where there is no valley."""
@@ -129,6 +133,50 @@ class _Side:
         """The standard error along the direction at a point, in units of the optimum's."""
         matrix = self._axes.T @ point.information @ self._axes
         return float(np.sqrt(np.linalg.pinv(matrix, hermitian=True)[self._k, self._k]))
+
+
+class _Walled(_Side):
+    """One side of one direction that leads out of the bounds: the parameter that it moves most goes on, in its standard
+    errors, and all others are at their best between theirs."""
+
+    def __init__(self, target: Target, centre: Array, axes: Array, k: int, side: float) -> None:
+        super().__init__(target, centre, axes, k, side)
+        self._held = int(np.argmax(np.abs(self._way) / np.linalg.norm(axes, axis=1)))
+        self._others = np.delete(np.arange(target.nv), self._held)
+
+    def _point(self, far: float, guess: Array) -> _Point | None:
+        """The best point with the parameter so far on, from a guess (nv - 1,) of how far the others are from theirs."""
+        low, high = (end[: self._target.nv] for end in (self._target.low, self._target.high))
+        at = self._centre + far * self._way
+        if not low[self._held] <= at[self._held] <= high[self._held]:
+            return None
+        others = self._others
+        ahead = guess if guess.any() else far * self._way[others]
+        end = minimise(
+            _beside(self._target, at, others),
+            np.clip(self._centre[others] + ahead, low[others], high[others]), low[others], high[others],
+            fall=_FALL, steps=_STEPS, longest=lambda y: np.full_like(y, _LONGEST),
+        )  # fmt: skip
+        if end is None:
+            return None
+        at[others] = end.x
+        squares = self._target.squares(at)
+        if squares is None:
+            return None
+        drop = self._top - _height(self._target, at)
+        return _Point(far, end.x - self._centre[others], at, drop, squares.matrix + self._prior)
+
+
+def _beside(target: Target, at: Array, others: Array) -> Callable[[Array], Squares | None]:
+    """The problem in some parameters, the others being held."""
+
+    def evaluate(y: Array) -> Squares | None:
+        there = at.copy()
+        there[others] = y
+        found = target.squares(there)
+        return found and Squares(found.cost, found.gradient[others], found.matrix[np.ix_(others, others)])
+
+    return evaluate
 
 
 def _across(target: Target, start: Array, rest: Array) -> Callable[[Array], Squares | None]:

@@ -142,3 +142,32 @@ def test_from_a_bound_a_flat_arm_is_followed_into_a_tail_that_bends():
     density = np.exp(-0.32 * np.logaddexp(0, x) ** 2)
     beyond = np.trapezoid(density[x > 2], x[x > 2]) / np.trapezoid(density, x)
     assert np.mean(met) == pytest.approx(beyond, rel=0.2)
+
+
+def plateau_beside_a_flat_direction(v):
+    """x is hardly told, and goes with y, along which chi-squared stays at 9 from y = 3 on."""
+    x, y = v
+    rises = y < 3
+    size, slope = (y, 1.0) if rises else (3.0, 1e-3)
+    return np.array([size, (x - 0.3 * y) / 8]), np.array([[0.0, slope], [1 / 8, -0.3 / 8]])
+
+
+class Flat(Known):
+    """The bound of x is at two of its standard errors, that of y far along its plateau."""
+
+    def __init__(self):
+        super().__init__(plateau_beside_a_flat_direction)
+        self.low, self.high = np.array([-40.0, -20.0]), np.array([12.0, 20.0])
+
+
+def test_a_direction_out_of_the_bounds_is_followed_by_the_parameter_that_it_moves_most():
+    """Nothing was said of it: the start across lay outside, and so did every point from there on."""
+    target, at = Flat(), np.zeros(2)
+    information = target.squares(at).matrix
+    points = np.array(valleys(target, at, information, 2).at)
+    assert points[:, 0].max() > 10
+    assert (points >= target.low).all()
+    assert (points <= target.high).all()
+    assert points[:, 1].max() > 15  # along the second direction, on the plateau to its end
+    far = points[np.argmax(points[:, 1])]
+    assert -target.log_density(far[None])[0] == pytest.approx(4.5, abs=0.1)
