@@ -16,6 +16,9 @@ from casadi_engine.simulation.candidate_sensitivities import Direction
 
 Side = Literal[-1, 0, 1]
 
+# Sensitivities whose squares add up to a number.
+_LARGEST = 1e140
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -68,14 +71,15 @@ class Candidate:
 def with_finite_columns(
     candidates: list[Candidate], columns: dict[str, dict[str, Array]]
 ) -> tuple[list[Candidate], dict[str, dict[str, Array]], list[NotApplicable]]:
-    """The candidates whose sensitivity is a number everywhere in the data, their columns, and notes for the others.
+    """The candidates whose sensitivity is a number everywhere in the data, and so are its squares, their columns, and
+    notes for the effects of which none is.
 
     Raises EffectError where none is left.
     """
     wrong: dict[int, str] = {}
     for record, outputs in columns.items():
         for values in outputs.values():
-            wrong |= dict.fromkeys(np.flatnonzero(~np.isfinite(values).all(axis=0)).tolist(), record)
+            wrong |= dict.fromkeys(np.flatnonzero(~(np.abs(values) < _LARGEST).all(axis=0)).tolist(), record)
     if not wrong:
         return candidates, columns, []
     why = {k: f"its law has no finite derivative along record {record}" for k, record in wrong.items()}
@@ -93,7 +97,10 @@ def with_finite_columns(
         record: {name: values[:, kept] for name, values in outputs.items()}
         for record, outputs in columns.items()
     }
+    left = {candidates[k].key for k in kept}  # as of a delay with other times
     notes = [
-        NotApplicable(candidates[k].effect, candidates[k].port, (), (), words) for k, words in why.items()
+        NotApplicable(candidates[k].effect, candidates[k].port, (), (), words)
+        for k, words in why.items()
+        if candidates[k].key not in left
     ]
     return [candidates[k] for k in kept], columns, notes

@@ -445,7 +445,8 @@ class FreshChoice:
     def _judged(self, old: Pairs | None, new: Pairs | None, here: Station) -> Judgement:
         if not old or not new:
             return Judgement(None, None, False, NO_RUN)
-        event = here.effects[-1].placed and self.portion.source == "records"
+        last = here.effects[-1]  # one with a time in each of several records may have one in fresh ones too
+        event = last.placed and not last.times and self.portion.source == "records"
         noise = here.screened.noise
         judged = judge([n for _, n in old], [n for _, n in new], noise)
         if judged.refused and not all(fit.converged for fit, _ in new):

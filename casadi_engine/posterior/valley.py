@@ -167,7 +167,7 @@ class _Walled(_Side):
         return _Point(far, end.x - self._centre[others], at, drop, squares.matrix + self._prior)
 
 
-def _beside(target: Target, at: Array, others: Array) -> Callable[[Array], Squares | None]:
+def _beside(target: Target, at: Array, others: NDArray[np.intp]) -> Callable[[Array], Squares | None]:
     """The problem in some parameters, the others being held."""
 
     def evaluate(y: Array) -> Squares | None:
