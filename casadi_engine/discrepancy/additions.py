@@ -225,7 +225,6 @@ class Additions:
         if linear:
             self.lead, self.start = step, start_without(best.arrived, best.newest(self.here))
         left = self._promising(best, step, rest, clearly=not linear)
-        left += [key for key in self._foremost(best, step, rest) if key not in left]
         # a delay and a lag of one channel are far from one another by a step, and not by their refits, and what is late
         # behind an input is late in a sensor; so are two laws of one signal at one port
         effect, port = best.newest(self.here).candidate.key
@@ -240,6 +239,7 @@ class Additions:
             self.tell(f"refit in its place: {key[0]} at {key[1]}")
             one = chosen_of(self.screened, step, self.families[key])
             self._try(one, start_without(best.arrived, best.newest(self.here)), near=True)
+        left += [k for k in self._foremost(best, step, rest) if k not in left and k not in self.forms]
         cost = costs_of(self.screened, step, self.families)
         self.left_out |= {key: cost[key] for key in rest if key not in left}
         # which of the laws of that signal there it is makes the name: these come next
@@ -325,6 +325,9 @@ class Additions:
         spent, best = time.perf_counter() - begun, self._best()
         self.lead, self.start = step, None
         left = self._led(left, best)
+        if best is not None:  # which may be the right one, and have ended where the fit without it led
+            first = best.newest(self.here).candidate.key
+            left = [first, *(key for key in left if key != first)]
         now = time.perf_counter()
         last, latest = now + spent, now + min(_LONGER * spent, _OF_LEFT * time_left())
         while left and time.perf_counter() < latest:

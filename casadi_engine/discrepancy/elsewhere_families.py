@@ -101,7 +101,8 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
             found += [(port, made[name]) for name in unused]
         elif port.slot is not None:
             own = list(port.signals.values())
-            found += [(port, made[name]) for name, symbol in every if not _is_known(symbol, own)]
+            moving = ca.vertcat(model.x, model.u)
+            found += [(port, made[name]) for name, symbol in every if not _is_own(symbol, own, moving)]
     return found
 
 
@@ -236,6 +237,12 @@ def _acts(model: Model, port: Port) -> bool:
 def _is_known(symbol: ca.SX, own: Sequence[ca.SX]) -> bool:
     """True where a port's own signals say what a symbol does: one of them is made of it."""
     return any(ca.depends_on(signal, symbol) for signal in own)
+
+
+def _is_own(symbol: ca.SX, own: Sequence[ca.SX], moving: ca.SX) -> bool:
+    """True where one of a port's own signals is made of a symbol alone: of a difference a function of one of both is
+    none."""
+    return any(_names(signal, moving) == {symbol.name()} for signal in own)
 
 
 def _varies(values: Array) -> bool:

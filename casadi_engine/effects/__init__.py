@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from casadi_engine.lazy import import_at_first_use
 
 if TYPE_CHECKING:
+    from casadi_engine.effects.ambient_loss import AmbientLoss
     from casadi_engine.effects.candidate import Candidate, candidate, candidates, cycles_of
     from casadi_engine.effects.combustion import CylinderImbalance, Misfire
     from casadi_engine.effects.cross_sensitivity import CrossSensitivity
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from casadi_engine.model.term import ports_for
 
 __all__ = [
+    "AmbientLoss",
     "Amplitude",
     "AsymmetricFriction",
     "Backlash",
@@ -96,6 +98,7 @@ __all__ = [
 import_at_first_use(
     __name__,
     {
+        "casadi_engine.effects.ambient_loss": ("AmbientLoss",),
         "casadi_engine.effects.candidate": ("Candidate", "candidate", "candidates", "cycles_of"),
         "casadi_engine.effects.combustion": ("CylinderImbalance", "Misfire"),
         "casadi_engine.effects.cross_sensitivity": ("CrossSensitivity",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from casadi_engine.effects.ambient_loss import AmbientLoss
 from casadi_engine.effects.combustion import CylinderImbalance, Misfire
 from casadi_engine.effects.cross_sensitivity import CrossSensitivity
 from casadi_engine.effects.friction import (
@@ -50,6 +51,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         GroundSpring(),
         CubicStiffness(),
         Backlash(),
+        AmbientLoss(),
         HiddenStorage(),
         Relaxation(),
         Misfire(),
