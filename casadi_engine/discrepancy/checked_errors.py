@@ -26,6 +26,8 @@ _SAME = 0.1
 _SEEN = 1.1
 # Processor time that intervals by profile may take [s]: they are the last step of much work.
 FOR_INTERVALS = 20.0
+# Words of a fit whose errors were not checked, as that took longer than it may.
+_NOT_CHECKED = "were not checked away from it"
 _ROUNDED = "the search was ended before corners were as sharp as the data feel them"
 _OF_ROUNDING = (
     "what is still unexplained may come of rounded corners, as the search was ended before sharper ones"
@@ -40,8 +42,8 @@ def with_checked_errors(
 
     noise, options : of its fits; in_places : their laws are so sharp that steps are short in places alone
     """
-    if not repair.effects:  # the fit without effects was checked
-        return repair
+    if not repair.effects:
+        return _null_checked(repair, noise, options)
     unchecked = replace(repair, messages=(*repair.messages, _UNCHECKED))
     fit = repair.fit
     start = replace(Start.of(fit), in_places=in_places)
@@ -65,6 +67,25 @@ def with_checked_errors(
     effects = tuple(with_errors_of(one, checked) for one in repair.effects)
     said = (*repair.messages, *_doubts(estimates), *_larger(estimates, checked.estimates))
     return replace(repair, fit=checked, effects=effects, messages=said)
+
+
+def _null_checked(repair: Repair, noise: Noise | None, options: Mapping[str, Any]) -> Repair:
+    """The same with the checks of the fit without effects, where nothing is missing in it and there was no time for
+    these before."""
+    fit = repair.fit
+    if repair.verdict != "nothing missing" or not any(_NOT_CHECKED in words for words in fit.messages):
+        return repair
+    own = {**options, "interval": fit.options.get("interval", "auto"), "progress": False}
+    try:
+        found = estimate(
+            fit.model, fit.data, parameters=as_fitted(fit), noise=noise, warm=Start.of(fit), **own
+        )
+    except (CasadiEngineError, TimeUp):
+        return repair
+    if not found.converged or abs(found.cost - fit.cost) > _SAME:
+        return repair
+    said = tuple(words for words in repair.messages if _NOT_CHECKED not in words)
+    return replace(repair, fit=found, null_fit=found, messages=said)
 
 
 def with_errors_of_rounding(

@@ -55,7 +55,7 @@ from casadi_engine.estimation.few_samples import UNKNOWN
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import ONE_STEP
-from casadi_engine.estimation.options import as_number, whole
+from casadi_engine.estimation.options import USUAL, as_number, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -69,6 +69,8 @@ _STARTS, _MOST = 4, 4
 # a third of it other readings of the data: one that lacks an effect may crawl without end, and the search goes on from
 # where it is. Seconds that the first of these may take in any case.
 _NULL, _AT_LEAST = 0.3, 5.0
+# Share of that time for intervals of its numbers.
+_CHECKS = 0.002
 _SHARE_OVER = "not converged: its share of the time budget was over"
 _UNCHECKED = (
     "the errors of the fit without effects were not checked, as its share of the time budget was over"
@@ -406,6 +408,8 @@ class _Job:
             "parameters": self.parameters,
         }
         given |= {"jobs": jobs, "enough": "white", **self.several, **options}
+        if math.isfinite(self.deadline.left):  # what the model lacks makes these errors worth little
+            given.setdefault("errors", min(_CHECKS * self.deadline.left, USUAL))
         share = max(_NULL * self.deadline.left, _AT_LEAST)
         fit, own = first_fit(given, share, patient=self.patient)
         if fit.status == "interrupted" and own.over and not late() and math.isfinite(fit.cost):

@@ -15,6 +15,7 @@ from casadi_engine.estimation.error_check import doubts_of, words_of
 from casadi_engine.estimation.few_samples import freedom_of
 from casadi_engine.estimation.fit import Estimate, Optimum
 from casadi_engine.estimation.foreseen_ends import Rises
+from casadi_engine.estimation.options import USUAL
 from casadi_engine.estimation.profile_interval import LEVEL, LowerOptimumError, Profiles, root_of
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
@@ -54,10 +55,11 @@ def judged(
 
     white : the errors that the likelihood has, which is asked about its shape; errors : those that count with the noise
     of the residuals; check : seconds of processor time for intervals by profile, None for the errors of the quadratic
-    as they are; spent : seconds that the search took, which a look beside its optimum may take too
+    as they are; spent : seconds that the search took, which a look beside its optimum may take too, or a part of it
+    where fewer seconds than usual are for intervals
     """
     estimates, initial = errors.estimates(), errors.initial_estimates()
-    limit = _LEAST + spent
+    limit = 0.0 if check is None else (_LEAST + spent) * min(check / USUAL, 1.0)
     doubts, rises, of_states, unchecked = (
         ((), {}, {}, None)
         if check is None

@@ -27,7 +27,7 @@ _MOST = 2**31 - 1
 # the frequency domain, and the solver's work is that of its variables.
 _AUTO, _FEW = 100, 20
 # Processor time that intervals by profile may take where the quadratic fails [s].
-_SECONDS = 3.0
+USUAL = 3.0
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _TEXT = re.compile(r"^\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(s|ms|us|samples|sample)\s*$")
 
@@ -181,7 +181,7 @@ def seconds_for_intervals(errors: Any) -> float | None:
     seconds = as_number(errors)
     if seconds is not None and 0 <= seconds < math.inf:
         return seconds
-    words = {"checked": _SECONDS, "quadratic": None}
+    words = {"checked": USUAL, "quadratic": None}
     if isinstance(errors, str) and errors in words:
         return words[errors]
     raise EstimationError(
