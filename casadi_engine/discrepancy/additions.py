@@ -103,6 +103,7 @@ class Additions:
                     clock = time.perf_counter()
                     left, done = self._in_turn(left, best, spare)
                     raced = math.inf if done else raced + time.perf_counter() - clock
+                left = self._special_case_first(left)
                 key = left[0]
                 self.tell(f"refit {len(self.done) + 1} of {len(self.done) + len(left)}: {key[0]} at {key[1]}")
                 self.done.append(key)
@@ -172,6 +173,14 @@ class Additions:
         return sorted(
             order, key=lambda key: (cost[key] > most, first[key[0]] != key, len(effects[key].nuisance))
         )
+
+    def _special_case_first(self, left: list[Family]) -> list[Family]:
+        """The special case of the first of them comes before it: what has a number more always does more by one step,
+        and where the time is up after it, it would stand for what is simpler."""
+        port = left[0][1]
+        effect = self.screened.candidates[self.families[left[0]][0]].source.effect
+        simple = (effect.limit, port)
+        return [simple, *(key for key in left if key != simple)] if simple in left else left
 
     def _in_turn(self, rest: list[Family], best: Tried | None, seconds: float) -> tuple[list[Family], bool]:
         """See ``_led``; and whether these seconds were enough for it."""

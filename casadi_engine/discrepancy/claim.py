@@ -23,6 +23,10 @@ from casadi_engine.estimation import Fit
 
 # How often white noise of the level that was stated may be found larger.
 _BY_CHANCE = 0.01
+_FAR = (
+    "one of them an error far larger than a sensor or an input may well have: together they bend to what is missing, "
+    "and no fresh data have confirmed them"
+)
 _CUT = "explains, and the time was up before it was identified"
 
 
@@ -63,7 +67,8 @@ def reason_to_withdraw(
     claim: Claim, null: Station, confirmed: bool, *, cut: bool = False, far: bool = False
 ) -> Unknown | None:
     """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise,
-    or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise; or leave
+    or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise, or of which
+    one is an error that is far larger than it may well be; or leave
     more than a person would overlook, where the noise is known, or a sensor would be early; None where they are one.
 
     cut : the search ended before all were refitted; far : an effect is far larger than it may well be
@@ -71,6 +76,9 @@ def reason_to_withdraw(
     if not confirmed and not _visible(claim.found):
         small, beside = _too_small(claim.found), unknown_of(null.screened)
         return small if beside is None else replace(beside, sentence=f"{beside.sentence}; {small.sentence}")
+    if far and not confirmed and len(claim.found) > 1:
+        names = " and ".join(_names(claim.found))
+        return Unknown(f"{names} explain the gap best, {_FAR}", {})
     noise, proof = claim.last.screened.noise, claim.proof
     ports = null.fit.model.ports
     instruments = all(ports[one.at].kind in ("sensor", "cross", "input") for one in claim.found)

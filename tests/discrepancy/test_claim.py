@@ -211,6 +211,27 @@ def test_several_effects_that_nothing_confirms_are_all_that_is_wrong_or_none_of_
     assert (reason_to_withdraw(claim, null, confirmed) is not None) == withdrawn
 
 
+@pytest.mark.parametrize(
+    ("confirmed", "several", "far", "withdrawn"),
+    [
+        (False, True, True, True),
+        (True, True, True, False),
+        (False, False, True, False),
+        (False, True, False, False),
+    ],
+)
+def test_several_with_an_error_that_is_far_too_large_are_no_answer_unless_confirmed(
+    monkeypatch, confirmed, several, far, withdrawn
+):
+    """A gas spring was a spring to the ground and an angle sensor that is off by 123 degrees, by name."""
+    claim, null = claimed(monkeypatch, before=3.0, after=1.0, tests=None)
+    claim = replace(claim, found=(*claim.found, *claim.found)) if several else claim
+    monkeypatch.setattr(module, "_visible", lambda _: True)
+    found = reason_to_withdraw(claim, null, confirmed, far=far)
+    assert (found is not None) == withdrawn
+    assert not withdrawn or "one of them an error far larger than a sensor or an input may" in found.sentence
+
+
 @pytest.mark.parametrize(("after", "withdrawn"), [(1.5, True), (1.05, False)])
 def test_an_error_of_a_sensor_is_all_that_is_wrong_or_none_of_it(monkeypatch, after, withdrawn):
     claim, null = claimed(monkeypatch, before=3.0, after=after, tests={"line": 1e-9}, kind="sensor")

@@ -136,7 +136,7 @@ def test_every_effect_acts_or_says_why_it_cannot(name):
             own = expected.get(port.name, set())
             acts = effect.name in own
             acts = acts or (
-                effect.name in ("hidden_storage", "ground_spring", "orifice_leak")
+                effect.name in ("ambient_loss", "hidden_storage", "ground_spring", "orifice_leak")
                 and port.kind == "inertia"
                 and "viscous_friction" in own
             )
@@ -270,7 +270,12 @@ def test_a_search_leaves_out_what_cannot_act_and_lists_it():
     data = record(model)
     noise = ce.Noise(position=0.01)
     screened = screen(ce.estimate(model, data, noise=noise, progress=False))
-    assert {one.port for one in screened.candidates} == {"spring", "sensor_position", "input_F"}
+    assert {one.port for one in screened.candidates} == {
+        "spring",
+        "sensor_position",
+        "input_F",
+        "F_to_sensor_position",
+    }
     left_out = {one.effect: one for one in screened.not_applicable}
     assert left_out["backlash"] == NotApplicable(
         "backlash", "spring", ("stiffness",), ("stretch", "twist", "twist_rate"), "the port has no stiffness"

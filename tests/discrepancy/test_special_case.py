@@ -1,0 +1,32 @@
+"""In which order effects are refitted where one is a special case of another."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from casadi_engine.discrepancy.additions import Additions
+from casadi_engine.effects import AsymmetricFriction, CoulombFriction, ViscousFriction
+
+EFFECTS = [AsymmetricFriction(), CoulombFriction(), ViscousFriction()]
+
+
+@pytest.mark.parametrize(
+    ("left", "first"),
+    [
+        (
+            [("asymmetric_friction", "car"), ("viscous_friction", "car"), ("coulomb_friction", "car")],
+            "coulomb_friction",
+        ),
+        ([("asymmetric_friction", "car"), ("viscous_friction", "car")], "asymmetric_friction"),
+        ([("viscous_friction", "car"), ("asymmetric_friction", "car")], "viscous_friction"),
+    ],
+)
+def test_the_special_case_comes_before_what_has_a_number_more(left, first):
+    """Dry friction was named asymmetric friction with an asymmetry of 0.002, as the time was up in between."""
+    additions = Additions.__new__(Additions)
+    candidates = [SimpleNamespace(source=SimpleNamespace(effect=one)) for one in EFFECTS]
+    additions.screened = SimpleNamespace(candidates=candidates)
+    additions.families = {(one.name, "car"): [k] for k, one in enumerate(EFFECTS)}
+    ordered = additions._special_case_first(left)
+    assert ordered[0] == (first, "car")
+    assert sorted(ordered) == sorted(left)
