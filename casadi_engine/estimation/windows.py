@@ -25,8 +25,8 @@ from casadi_engine.estimation.starts import run_through
 
 Array = NDArray[np.float64]
 
-# Weak spring on every state of a window, as a share of the largest slope in any of them: it keeps those that nothing is
-# known of.
+# Weak spring on every state of a window, as a share of the largest slope in any of them, for changes in proportion to
+# the states: it keeps those that nothing is known of.
 _SPRING = 1e-6
 # Share of the squared residuals that closing the gaps may change for the cost to count, and evaluations to come there.
 _OPEN, _CLOSINGS = 0.1, 4
@@ -72,7 +72,7 @@ def condense(record: RecordTerm, point: RecordPoint, nodes: Array, count: int) -
     slopes, chain = _chained(record, point, nodes, starts)
     grams = np.add.reduceat(slopes.transpose(0, 2, 1) @ slopes, starts, axis=0)
     own = grams[:, :n, :n]
-    own[:, range(n), range(n)] += _SPRING**2 * np.einsum("wii->wi", own).max(axis=1, keepdims=True) + 1e-300
+    own[:, range(n), range(n)] += _springs(own, nodes)
     size = np.sqrt(np.einsum("wii->wi", own))
     scaled = own / (size[:, :, None] * size[:, None, :])
     mixed = grams[:, :n, n:] / size[:, :, None]
@@ -81,6 +81,15 @@ def condense(record: RecordTerm, point: RecordPoint, nodes: Array, count: int) -
     left, total = slopes[:, :, -1] - point.r.T, float(squares[-1, -1])
     gaps = float(np.sum(left**2)) / max(total, 1e-300)
     return Condensed(slopes, chain, -inside / size[:, :, None], starts, squares, gaps)
+
+
+def _springs(own: Array, nodes: Array) -> Array:
+    """(W, n) of the springs on the states at the windows' starts, by the information (W, n, n) of them: a share of the
+    largest of a state, each by how large that state is, whatever its unit; nodes : (M, n)"""
+    size = np.sqrt(np.mean(np.square(nodes), axis=0))
+    size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    most = (np.einsum("wii->wi", own) * size**2).max(axis=1, keepdims=True)
+    return np.asarray(_SPRING**2 * most / size**2 + 1e-300)
 
 
 def simulated(
