@@ -342,7 +342,8 @@ def _with_events(repair: Repair) -> bool:
 
 def _of_sensors(repair: Repair) -> bool:
     """True if all effects are errors of sensors."""
-    return {repair.model.ports[one.at].kind for one in repair.effects} <= {"sensor", "cross"}
+    kinds = {repair.model.ports[one.at].kind for one in repair.effects}
+    return bool(kinds) and kinds <= {"sensor", "cross"}
 
 
 def _why(repair: Repair) -> str:

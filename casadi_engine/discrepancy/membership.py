@@ -17,6 +17,8 @@ from casadi_engine.discrepancy.station import Station
 Key = frozenset[tuple[str, str]]
 # Difference of log evidence that tells nothing: there the simpler one is named first.
 _TIE = 1.0
+# Kinds of ports at which something acts that comes from elsewhere.
+_FAR = frozenset({"path", "cross"})
 # Standard errors of an amplitude below which a refit has left nothing of an effect.
 NOTHING = 0.01
 
@@ -44,7 +46,8 @@ def strange(effects: Sequence[Addition]) -> int:
     """How many effects are of another world than their port: what slides has dry friction, and heat has none; and what
     acts by a channel from elsewhere is farther off than what acts by itself."""
     sliding = [one.candidate for one in effects if getattr(one.candidate.source.effect, "slides", False)]
-    far = sum(one.kind in ("path", "cross") for one in effects)
+    may = [one for one in effects if _FAR & {*getattr(one.candidate.source.effect, "attaches", ())}]
+    far = sum(one.kind in _FAR for one in may)
     return far + sum(not one.source.model.ports[one.port].is_mechanical for one in sliding)
 
 

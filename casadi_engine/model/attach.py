@@ -51,7 +51,8 @@ def attach(
         wider = _with_torque(wider, replace(term, port=wider.ports[end]))
     elif term.port.kind == "cross":
         (end,) = term.port.ends
-        wider = _with_output(wider, replace(term, port=wider.ports[end]))
+        wider, shown = _by_a_drive(wider, term)
+        wider = _with_output(wider, replace(term, port=wider.ports[end], value=shown))
     elif term.port.ends:
         first, second = term.port.ends
         wider = _with_torque(wider, replace(term, port=wider.ports[first], value=-term.value))
@@ -150,6 +151,18 @@ def _with_output(model: Model, term: Term) -> Model:
     outputs = ca.SX(model.output_expressions)
     outputs[row] = outputs[row] + term.value
     return replace(model, output_expressions=outputs)
+
+
+def _by_a_drive(model: Model, term: Term) -> tuple[Model, Any]:
+    """What a term adds to an output as a drive, where it is made of channels and time alone, to keep the linear core;
+    else as it is."""
+    inside = ca.vertcat(model.x, model.d, model.w)
+    outside = ca.vertcat(model.channels, model.t)
+    if ca.depends_on(term.value, inside) or not ca.depends_on(term.value, outside):
+        return model, term.value
+    drive = ca.SX.sym(f"{term.port.name}_{term.effect.name}")
+    words = f"{term.effect.name} at {term.port.name}"
+    return with_drive(model, drive, term.value, words, term.port.unit), drive
 
 
 def _with_shift(model: Model, term: Term) -> Model:

@@ -54,6 +54,7 @@ def closed(model, like=None, **values):
     """Rates of the states and outputs; of the states of ``like``, where those of effects come behind them."""
     x, u, t = point(like or model)
     count, x = len(x), np.concatenate([x, np.full(model.x.numel() - len(x), 0.2)])
+    u = np.concatenate([u, np.zeros(model.u.numel() - len(u))])  # rates of what a sensor shows at once by now
     function = ca.Function(
         "f", [model.x, model.u, model.t, model.p], [model.closed_ode, model.closed_outputs]
     )
