@@ -112,9 +112,28 @@ def held_fit(
         if found.cost / found.n <= _chance(found) * _misfit(fit, noise):
             break
     if found is None:
+        found = _from_own_records(fit, model, record, held, levels)
+    if found is None:
         assert fault is not None
         raise fault
     return found
+
+
+def _from_own_records(
+    fit: Fit, model: Model, record: Experiment, held: Parameters, levels: Mapping[str, Any]
+) -> Fit | None:
+    """The same from where the records of the fit begin, where the model has no value by what the measurement gives to
+    begin at; None where it has none there either."""
+    for own in fit.initial.values():
+        first = {state.name: own[state.name].value for state in model.states if state.name in own}
+        start = Start(fit.values, {record.name: first}, in_places=_in_places(fit))
+        with suppress(CasadiEngineError, FloatingPointError):
+            return estimate(
+                model, record, parameters=held, noise=Noise(**levels), warm=start, progress=False,
+                method=str(fit.options.get("method", "exact")), interval=fit.options.get("interval", "auto"),
+                max_iterations=_MOST, errors="quadratic",
+            )  # fmt: skip
+    return None
 
 
 def _from_known(

@@ -152,7 +152,8 @@ class FirstPoints(LaidProblem):
         if not np.isfinite(self._objective(x)):
             raise EstimationError(
                 "the model cannot be evaluated at the start values",
-                seen=", ".join(f"{n}={value:.6g}" for n, value in zip(self.pmap.free, z, strict=True)),
+                seen=", ".join(f"{n}={value:.6g}" for n, value in zip(self.pmap.free, z, strict=True))
+                or "no free parameter, and first states as the measurement gives them",
                 allowed="values for which the equations give finite numbers",
                 cure="change the start values or the bounds, or give first states: initial={...}",
             )

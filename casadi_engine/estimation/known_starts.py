@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.fit import Fit
 
 # Records of the fit from whose initial states the search goes on.
@@ -20,18 +21,37 @@ class _Start:
     values: Mapping[str, float] = field(default_factory=dict)
 
 
-def found_from_known(source: Any, found: Fit, again: Callable[[_Start], Fit]) -> Fit:
+def found_from_known(source: Any, find: Callable[..., Fit], names: Sequence[str]) -> Fit:
     """The fit of initial states alone, or a better one from those of the records of a fit with these parameters, where
-    it did not converge or where states are left that the outputs do not depend on.
+    it did not converge or where states are left that the outputs do not depend on, and where the model has no value
+    from where the search begins.
 
     An output may have no slope where a search begins, as a logarithm that is kept away from 0.
 
-    source : the fit whose parameters are held, or what is none; again(warm) : the same fit from there
+    source : the fit whose parameters are held, or what is none; find(warm=...) : a fit of the records called ``names``
+    from there; EstimationError where none of them begins
     """
-    if (found.converged and not found.undetermined) or not isinstance(source, Fit):
+    known = list(source.initial.values())[:_MOST] if isinstance(source, Fit) else []
+    starts = [_Start(dict.fromkeys(names, states)) for states in known]
+    try:
+        found = find()
+    except EstimationError:
+        made = (_or_none(find, start) for start in starts)
+        if (other := next((one for one in made if one is not None), None)) is None:
+            raise
+        return other
+    if found.converged and not found.undetermined:
         return found
-    for states in list(source.initial.values())[:_MOST]:
-        other = again(_Start({record.name: states for record in found.data}))
+    for start in starts:
+        other = find(warm=start)
         if other.converged and (not found.converged or other.cost < found.cost):
             return other
     return found
+
+
+def _or_none(find: Callable[..., Fit], start: _Start) -> Fit | None:
+    """The fit from a start, None where the model has no value there either."""
+    try:
+        return find(warm=start)
+    except EstimationError:
+        return None

@@ -262,7 +262,7 @@ def _fitted_start(
         estimate, model, data, parameters=fixed, initial=given, noise=noise, loss=loss_of(source), method=method,
         progress=False,
     )  # fmt: skip
-    fit = found_from_known(source, find(), lambda warm: find(warm=warm))
+    fit = found_from_known(source, find, [data.name])
     if not fit.converged:
         raise SimulationError(
             "the initial state could not be fitted to the measured outputs",

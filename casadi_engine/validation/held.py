@@ -78,7 +78,7 @@ def held_on(fit: Fit, data: Any, *, noise: Noise, method: str, loss: Any = "squa
             estimate, fit.model, group, parameters=parameters_for(fit, group[0].name), noise=noise, method=method,
             loss=loss, progress=False,
         )  # fmt: skip
-        found.append(found_from_known(fit, find(), lambda warm: find(warm=warm)))  # noqa: B023
+        found.append(found_from_known(fit, find, [record.name for record in group]))
     return found[0] if len(found) == 1 else _together(found, [record.name for record in records])
 
 
