@@ -33,6 +33,14 @@ def first_fit(given: Mapping[str, Any], seconds: float, *, patient: bool) -> tup
         return _fitted(given, patient), own
 
 
+def continued(fit: Fit, given: Mapping[str, Any], seconds: float) -> Fit | None:
+    """The fit from where one ended whose time was up, in so many seconds more; None where it does not converge."""
+    with suppress(TimeUp, CasadiEngineError), Deadline(seconds, best=True):
+        found = estimate(**_alone(given), warm=fit)
+        return found if found.converged else None
+    return None
+
+
 def _fitted(given: Mapping[str, Any], patient: bool) -> Fit:
     fit = estimate(**given)
     alone = {**given, "starts": 1, "neighbours": 0, "jobs": 1}
@@ -41,11 +49,15 @@ def _fitted(given: Mapping[str, Any], patient: bool) -> Fit:
             fit = over_whole_records(fit, lambda changed: estimate(**(alone | changed)))
     # as its message tells a person to, who may have wanted no more than so many
     if ONE_STEP in fit.status or (fit.status == OUT_OF_ITERATIONS and patient):
-        more = {
-            name: own for name, own in given.items() if name not in ("starts", "neighbours", "jobs", "enough")
-        }
+        more = _alone(given)
         more["max_iterations"] = _FURTHER * given["max_iterations"]
         with suppress(CasadiEngineError):  # there is a fit
             again = estimate(**more, warm=fit)
             fit = again if again.converged else fit
     return fit
+
+
+def _alone(given: Mapping[str, Any]) -> dict[str, Any]:
+    """What a fit from one start is given."""
+    several = ("starts", "neighbours", "jobs", "enough")
+    return {name: own for name, own in given.items() if name not in several}

@@ -19,7 +19,7 @@ from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_sc
 from casadi_engine.discrepancy.checked_errors import with_checked_errors, with_errors_of_rounding
 from casadi_engine.discrepancy.choice import ANY, TIME_UP, Choice
 from casadi_engine.discrepancy.event_intervals import with_intervals_of_times
-from casadi_engine.discrepancy.first_fit import first_fit
+from casadi_engine.discrepancy.first_fit import continued, first_fit
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import FRESH
@@ -44,7 +44,7 @@ from casadi_engine.discrepancy.screening import Screened, screen_in_turn
 from casadi_engine.discrepancy.unstable_records import cut_words, in_pieces
 from casadi_engine.discrepancy.wider_bounds import with_free_starts, with_wider_bounds
 from casadi_engine.discrepancy.withdrawal import held_to_sizes
-from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, UNRESOLVED, USER
+from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, SHARE_OVER, UNRESOLVED, USER
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import CasadiEngineError, EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
@@ -71,7 +71,6 @@ _STARTS, _MOST = 4, 4
 _NULL, _AT_LEAST = 0.3, 5.0
 # Share of that time for intervals of its numbers.
 _CHECKS = 0.002
-_SHARE_OVER = "not converged: its share of the time budget was over"
 _UNCHECKED = (
     "the errors of the fit without effects were not checked, as its share of the time budget was over"
 )
@@ -414,7 +413,8 @@ class _Job:
         fit, own = first_fit(given, share, patient=self.patient)
         if fit.status == "interrupted" and own.over and not late() and math.isfinite(fit.cost):
             # else it goes on as refits do, which begin in short windows
-            fit = self._at_its_end(fit, options) or replace(fit, status=_SHARE_OVER)
+            later = self._at_its_end(fit, options) or continued(fit, given, _NULL * self.deadline.left)
+            fit = later or replace(fit, status=SHARE_OVER)
         pieces = None if self.cut else in_pieces(self.portion, fit)
         if pieces is not None:
             self.cut = (cut_words(fit),)
@@ -428,7 +428,7 @@ class _Job:
                 )
             if self.misread is not None and self.misread.certain:
                 return fit, self.parameters, work
-        ended = fit.status in ("interrupted", _SHARE_OVER)
+        ended = fit.status in ("interrupted", SHARE_OVER)
         if (
             not fit.converged
             and (not ended or is_far_off(fit))
@@ -540,8 +540,10 @@ class _Job:
         model, have to be freed of first."""
         cut = fit.status == "interrupted"
         why = (
-            "no effect can be looked for before the model without effects fits: give other start values, bounds, or "
-            "more starts; a wrong optimum looks like missing physics"
+            "the time was up before the model without effects fitted, and no effect can be looked for before it does"
+            if fit.status == SHARE_OVER
+            else "no effect can be looked for before the model without effects fits: give other start values, bounds, "
+            "or more starts; a wrong optimum looks like missing physics"
         )
         if cut:
             why = (

@@ -33,6 +33,7 @@ from casadi_engine.discrepancy.wording import (
     AT_FAULT,
     BOUNDS,
     HINT,
+    SHARE_OVER,
     STARTS,
     UNRESOLVED,
     USER,
@@ -300,6 +301,8 @@ def next_step(repair: Repair) -> str:
         return "look at the data first, as said above"
     if repair.status == "interrupted":
         return "run it again and let it end; repair.fit is the best model so far"
+    if repair.verdict is None and SHARE_OVER in repair.status:
+        return "give it more time, budget=..., or start values that are nearer"
     if repair.verdict is None:
         return "fix the baseline fit first: other start values, wider bounds, or more starts"
     if repair.stopped:

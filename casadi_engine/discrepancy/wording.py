@@ -29,6 +29,8 @@ AT_FAULT = "the data are at fault"
 HINT = "hint"
 BOUNDS, STARTS = "bounds in the way", "first states in the way"
 # Status of a repair whose gap may be what rounds the corners of the user's own laws.
+# Status of a fit without effects whose share of the time was over before it arrived.
+SHARE_OVER = "not converged: its share of the time budget was over"
 UNRESOLVED = "the corners of the model's own laws are not resolved"
 # Names listed in a sentence; correlation beyond which two effects are one.
 LISTED, _TWINS = 6, 0.995
