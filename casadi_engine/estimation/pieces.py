@@ -21,6 +21,7 @@ from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.levenberg_marquardt import Squares, minimise
 from casadi_engine.estimation.options import interval_length
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
+from casadi_engine.estimation.windows import sizes_of
 from casadi_engine.simulation.propagator import steps_kept
 
 Array = NDArray[np.float64]
@@ -84,7 +85,7 @@ class Pieces:
                     point = record.evaluate(v, at, order=order)
             except (FloatingPointError, np.linalg.LinAlgError, ModelError):
                 return None
-            rest, change = _without_states(record, point)
+            rest, change = _without_states(record, point, sizes_of(at))
             flat = np.concatenate([point.r[None], point.jz]).reshape(len(rest), -1)
             gram = rest.reshape(len(rest), -1) @ flat.T
             active = record.active[: len(rest) - 1]
@@ -156,10 +157,10 @@ class Pieces:
         return best[0], best[2].cost
 
 
-def _without_states(record: RecordTerm, point: RecordPoint) -> tuple[Array, Array]:
+def _without_states(record: RecordTerm, point: RecordPoint, size: Array) -> tuple[Array, Array]:
     """Residual and Jacobian (1+nz, K, M) less what the pieces' states can explain, and the states (1+nz, M, n) that do.
 
-    A weak spring on every state keeps those that nothing is known of.
+    A weak spring on every state keeps those that nothing is known of; it goes by how large (n,) they are.
     """
     js, both, weight = point.js, np.concatenate([point.r[None], point.jz]), record._common
     alike = js.ndim == 2 and weight is not None  # one projection serves all pieces
@@ -170,7 +171,8 @@ def _without_states(record: RecordTerm, point: RecordPoint) -> tuple[Array, Arra
         slope = (wide * record.weight[:, :, None]).transpose(1, 0, 2)
         columns = both.transpose(2, 1, 0)
     pieces, samples, n = slope.shape
-    spring = np.broadcast_to(_FLAT * max(float(np.abs(slope).max()), 1e-300) * np.eye(n), (pieces, n, n))
+    most = max(float((np.abs(slope) * size).max()), 1e-300)
+    spring = np.broadcast_to(np.diag(_FLAT * most / size), (pieces, n, n))
     q, r = np.linalg.qr(np.concatenate([slope, spring], axis=1))
     inside = q[:, :samples].transpose(0, 2, 1) @ columns
     rest = columns - q[:, :samples] @ inside

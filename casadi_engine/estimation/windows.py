@@ -86,10 +86,15 @@ def condense(record: RecordTerm, point: RecordPoint, nodes: Array, count: int) -
 def _springs(own: Array, nodes: Array) -> Array:
     """(W, n) of the springs on the states at the windows' starts, by the information (W, n, n) of them: a share of the
     largest of a state, each by how large that state is, whatever its unit; nodes : (M, n)"""
-    size = np.sqrt(np.mean(np.square(nodes), axis=0))
-    size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    size = sizes_of(nodes)
     most = (np.einsum("wii->wi", own) * size**2).max(axis=1, keepdims=True)
     return np.asarray(_SPRING**2 * most / size**2 + 1e-300)
+
+
+def sizes_of(nodes: Array) -> Array:
+    """(n,) root mean squares of states (M, n); 1 of those that are zero."""
+    size = np.sqrt(np.mean(np.square(nodes), axis=0))
+    return np.where(np.isfinite(size) & (size > 0), size, 1.0)
 
 
 def simulated(

@@ -217,7 +217,7 @@ def test_pieces_end_where_scipy_does(shaft, shaft_model):
     record, nodes = pieces.records[0], pieces.starts[0]
 
     def rest(v):
-        return _without_states(record, record.evaluate(v, nodes))[0][0].ravel()
+        return _without_states(record, record.evaluate(v, nodes), np.ones(nodes.shape[1]))[0][0].ravel()
 
     v = search.coordinates.of(search.pmap.start)
     bounds = search.lower[:5], search.upper[:5]
