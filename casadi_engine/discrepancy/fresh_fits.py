@@ -303,9 +303,9 @@ def _with_events(
 
 
 def events_told(sides: Sequence[tuple[Fit, NullModel]], fit: Fit) -> list[str]:
-    """In words: where events of the user's own model happened in fresh records, by fits with parameters held.
+    """In words: where events of a model happened in fresh records, by fits with parameters held.
 
-    fit : without further effects
+    fit : of the records searched, with the effects found
     """
     said = []
     for held, _ in sides:
