@@ -531,7 +531,8 @@ class Answer:
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
         self.messages += [*last.screened.choice.messages, *without_answer(self.search), *elsewhere(last)]
-        self.messages += [*so_far(self.search), *events_told(proof.after or proof.before, last.fit if proof.after else null.fit)]
+        told = (proof.after, last.fit) if proof.after else (proof.before, null.fit)
+        self.messages += [*so_far(self.search), *events_told(*told)]
         own = {
             record.name: {int(c) for n in record.cycle.values() for c in n}
             for record in null.screened.null.records

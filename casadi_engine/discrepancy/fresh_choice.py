@@ -84,15 +84,21 @@ class FreshChoice:
 
     def run(self) -> Confirmation:
         """The first structure, in order of evidence, that fresh data do not refuse; unjudged once the time is over."""
-        search = self.search
+        search, before = self.search, len(self.messages)
         try:
             with search.deadline.spared(_JUDGED):
                 return self._judged_in_order()
         except TimeUp:
-            self.messages.append("the fresh data were not looked at to their end, as the time was up")
             search.failed[FRESH_DATA] = TIME_UP
             stations = way_so_far(search)
             search.best = key_of(stations[-1].effects)
+            # what stays was not judged to the end, whatever its first look had said
+            names = tuple(f"{name} at {port}: " for name, port in search.best)
+            said = [words for words in self.messages[before:] if not names or not words.startswith(names)]
+            self.messages[before:] = [
+                *said,
+                "the fresh data were not looked at to their end, as the time was up",
+            ]
             return self._kept(stations, stations, None)
 
     def idle(self, key: Key) -> Key:

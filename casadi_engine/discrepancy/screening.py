@@ -209,7 +209,8 @@ def _linearised(
     skipped: list[NotApplicable] = []
     every = library_candidates(null, fit.data, request.effects, skipped, known)
     candidates = [one for one in every if request.wants(one)]
-    columns = {record.name: candidate_columns(record, candidates) for record in null.records}
+    with np.errstate(all="ignore"):  # what is no number is left out
+        columns = {record.name: candidate_columns(record, candidates) for record in null.records}
     candidates, columns, without = with_finite_columns(candidates, columns)
     request = replace(request, skipped=(*request.skipped, *dict.fromkeys((*skipped, *without))))
     return null, tuple(candidates), columns, request

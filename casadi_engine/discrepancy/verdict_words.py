@@ -55,6 +55,8 @@ if TYPE_CHECKING:
 _ODDS = re.compile(r":? (?:far|[0-9.e+]+ times) more probable")
 # Probability of a member below which the headline does not speak of it.
 _HARDLY = 1e-4
+# p-value over all tests from which on chance alone is no likely cause: one search in ten thousand.
+_SURELY = 1e-4
 # Right in 95 % of records.
 ENOUGH = 3.3
 # Fixed parameters that are named in one line.
@@ -92,7 +94,8 @@ def headline(repair: Repair) -> str:
         if repair.stopped and not blind:
             ended = "the search ended before an effect of the library could name it"
             why = "no effect that was tried names it" if unnamed else ended
-        return f"something is missing, and {why}{unnamed}{_nearest(repair)}"
+        seems = "may be" if repair.stopped and _by_a_score_alone(repair) else "is"
+        return f"something {seems} missing, and {why}{unnamed}{_nearest(repair)}"
     left = "not held against the fresh data, as the time was up" if FRESH_DATA in repair.not_searched else ""
     sure = {
         True: "confirmed on fresh data",
@@ -219,6 +222,15 @@ def _by_chance(repair: Repair) -> str:
     return (
         f"; {one.name} at {one.at} may be missing (p = {one.p_value:.2g}), and fresh data do not confirm it"
     )
+
+
+def _by_a_score_alone(repair: Repair) -> bool:
+    """True where all that speaks for what is missing is tests that chance passes in one of so many searches: no refit
+    has told, and no fresh data were asked."""
+    unknown = repair.unknown
+    tests = {} if unknown is None else unknown.tests
+    found = (*repair.withdrawn, *repair.effects)
+    return bool(tests) and not found and min(tests.values()) > _SURELY
 
 
 def _nearest(repair: Repair) -> str:

@@ -201,7 +201,7 @@ class Port:
             and self.units.get("input", NOT_STATED) == NOT_STATED
             and "difference" not in self.signals
         ):
-            return self.unit  # for one of the input, whatever that is
+            return self.unit if acting else NOT_STATED  # for one of the input, whatever that is
         place = None if self._place is None or time else self._place
         motion = self._motion if place is None else place
         if (acting and self.unit == NOT_STATED) or (angle and motion is None):
