@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,6 +54,8 @@ _ALIKE = 1.1
 _LOOKED = 1 / 8
 # Beside a way that is good only those are fitted that left no more than this factor times its squares at first sight.
 _PROMISING = 2.0
+# Way to read records, and these -> the fit to them read so, None where there is none.
+Tries = dict[tuple[Reading, tuple[Experiment, ...]], Fit | None]
 _FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError, ValueError)
 
 
@@ -74,20 +76,22 @@ def misread(
     *,
     every: bool = False,
     data: Sequence[Experiment] | None = None,
+    tries: Tries | None = None,
 ) -> Misread | None:
     """What is likely wrong with the data of a fit that explains next to nothing of an output, or that is poor with
     parameters at their bounds; None for any other, and where no way to read them makes it good.
 
     fit : of the model without effects, from ``parameters``, with ``noise`` and ``options``; work : of one of its starts
     every : also what a search for effects would tell, where there is none; data : the records in the units that they
-    were stated in, where those are not the model's: columns are exchanged with their headings
+    were stated in, where those are not the model's: columns are exchanged with their headings; tries : takes the fits
     """
     poor = unexplained(fit, every=every)
     if not poor:
         return None
     records = fit.data if data is None else tuple(data)
     ways = readings(fit.model, records, every=every)
-    job = _Readings(fit.model, records, parameters, noise, options, len(ways) if every else _TRIED)
+    most = len(ways) if every else _TRIED
+    job = _Readings(fit.model, records, parameters, noise, options, most, {} if tries is None else tries)
     found = job.good(_of_sensors(fit, poor, ways), work, _is_good) or job.good(ways, work, _is_good)
     if found:
         before = _listed(followed(fit))
@@ -114,12 +118,17 @@ def with_hint(repair: Repair, found: Misread | None) -> Repair:
 
 
 def with_other_reading(
-    repair: Repair, parameters: Parameters, noise: Noise | None, options: Mapping[str, Any], work: float
+    repair: Repair,
+    parameters: Parameters,
+    noise: Noise | None,
+    options: Mapping[str, Any],
+    work: float,
+    tries: Tries | None = None,
 ) -> Repair:
     """The same, and at the top that the data may be stated wrong, where the model without any effect explains them so
     read: no more is left of any output than the answer leaves. It is asked where fresh data have confirmed nothing, and
     half of what is left of every output goes with it; and where they have confirmed an effect without which a good part
-    of an output is left, as fresh data are stated wrong likewise."""
+    of an output is left, as fresh data are stated wrong likewise. tries : fits that were made before"""
     null = repair.null_fit
     if repair.verdict in (None, "nothing missing") or HINT in repair.options:
         return repair
@@ -140,7 +149,8 @@ def with_other_reading(
             for name, then in own.items()
         )
 
-    job = _Readings(null.model, repair.data, parameters, noise, options)
+    known = {} if tries is None else tries
+    job = _Readings(null.model, repair.data, parameters, noise, options, tries=known)
     # what a search tells by an effect was told, unless another one was found that does as much
     every = bool(repair.confirmed)
     ways = [one for one in readings(null.model, repair.data, every=every) if every or not one.named]
@@ -263,6 +273,7 @@ class _Readings:
     noise: Noise | None
     options: Mapping[str, Any]
     tried: int = _TRIED
+    tries: Tries = field(default_factory=dict)
 
     def good(
         self, ways: Sequence[Reading], work: float, is_good: Callable[[Mapping[str, float]], bool]
@@ -289,7 +300,7 @@ class _Readings:
             if left > least + math.log(_PROMISING):
                 break
             records = [one.of(record) for record in self.data]
-            found = self._fit(records, self.parameters, _MORE * work)
+            found = self._tried(one, records, work)
             if found is None or not is_good(followed(found)):
                 continue
             if _bent(found) or not self._inputs_matter(records, found, work):
@@ -298,6 +309,16 @@ class _Readings:
             least = min(least, left)
         fits.sort(key=lambda made: made.left)
         return [one for one in fits if one.left <= fits[0].left + math.log(_ALIKE)]
+
+    def _tried(self, one: Reading, records: Sequence[Experiment], work: float) -> Fit | None:
+        """The fit to the records read so, made before a search for after it too; none for which the time was up."""
+        key = one, self.data
+        if key not in self.tries:
+            found = self._fit(records, self.parameters, _MORE * work)
+            if found is None and math.isfinite(seconds_left()):
+                return None
+            self.tries[key] = found
+        return self.tries[key]
 
     def _inputs_matter(self, records: Sequence[Experiment], fit: Fit, work: float) -> bool:
         """True unless the initial states alone make the fit good, as of a model so slow that it hardly moves; one

@@ -29,7 +29,7 @@ from casadi_engine.discrepancy.law_refit import follows_by_function
 from casadi_engine.discrepancy.lost_beginning import with_lost_beginning
 from casadi_engine.discrepancy.lost_fit import explained, found_again
 from casadi_engine.discrepancy.lower_rate import LowerRate, at_lower_rate
-from casadi_engine.discrepancy.misread import Misread, misread, with_hint, with_other_reading
+from casadi_engine.discrepancy.misread import Misread, Tries, misread, with_hint, with_other_reading
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.one_law import told_as_one_law
@@ -239,6 +239,7 @@ class _Job:
     search: Choice | None = None
     felt: float = 0.0
     misread: Misread | None = None
+    tries: Tries = field(default_factory=dict)  # of other ways to read the data
     kept: bool = False  # the fit without effects had run away
     cut: tuple[str, ...] = ()  # that records are searched in pieces
 
@@ -393,7 +394,7 @@ class _Job:
             made = with_wider_bounds(made, self.parameters, self.noise, options)
             made = with_free_starts(made, self.parameters, self.noise, options)
         with self.deadline.spared(1.0), suppress(TimeUp):
-            made = with_other_reading(made, self.parameters, self.noise, options, work)
+            made = with_other_reading(made, self.parameters, self.noise, options, work, self.tries)
         found = frozenset((one.name, one.at) for one in made.effects)
         return with_lost_beginning(held_to_sizes(made), refits.pool.get(found))
 
@@ -424,8 +425,9 @@ class _Job:
         if _fault_of(fit) is None:
             with suppress(TimeUp), Deadline(_NULL / 3 * self.deadline.left):
                 self.misread = misread(
-                    fit, self.parameters, self.noise, self.options, work, data=self.portion.data
-                )
+                    fit, self.parameters, self.noise, self.options, work, data=self.portion.data,
+                    tries=self.tries,
+                )  # fmt: skip
             if self.misread is not None and self.misread.certain:
                 return fit, self.parameters, work
         ended = fit.status in ("interrupted", SHARE_OVER)

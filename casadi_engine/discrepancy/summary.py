@@ -40,6 +40,8 @@ _SHIFTS, _TERMS, _NOTES = 6, 4, 3
 # Lines of one equation that are shown; effects named of which nothing is excluded; columns of a parameter's and of an
 # output's name.
 _LONG, _NAMED, _WIDE, _OUTPUT = 4, 3, 20, 18
+# Width of the first column of chi-squared where that is of all outputs.
+_CHI2 = 12
 # What gives way on a full screen, in this order: parts, and how many of their shorter forms are left to be told later.
 _GIVES_WAY = (
     ("not applicable", 0), ("notes", 2), ("not found", 0), ("equation", 2), ("shifts", 2), ("found", 1), ("notes", 1),
@@ -223,9 +225,15 @@ def _gap(repair: Repair) -> list[Lines]:
 def _gap_lines(repair: Repair, most: int) -> Lines:
     gaps = repair.gaps
     assert gaps is not None
-    heads = ("sigma", "rmse", "after", "fit %", "after", "chi2/N", "after")
-    width = min(max([11, *(len(name) for name in gaps.estimation_before.gap.rmse)]), _OUTPUT - 1) + 1
-    lines = [f"{'Gap':<12}{'output':<{width}}" + "".join(f"{head:>10}" for head in heads)]
+    # chi-squared is of all outputs, in the row of the first one
+    several = len(gaps.estimation_before.gap.rmse) > 1
+    heads = ("sigma", "rmse", "after", "fit %", "after", "chi2/N all" if several else "chi2/N", "after")
+    room = _OUTPUT - 1 - (_CHI2 - 10) * several
+    width = min(max([11, *(len(name) for name in gaps.estimation_before.gap.rmse)]), room) + 1
+    lines = [
+        f"{'Gap':<12}{'output':<{width}}"
+        + "".join(f"{head:>{_CHI2 if 'all' in head else 10}}" for head in heads)
+    ]
     lines += _gap_rows("found on", repair, gaps.estimation_before, gaps.estimation_after, most, width)
     if gaps.validation_before is not None and gaps.validation_after is not None:
         lines += _gap_rows("fresh", repair, gaps.validation_before, gaps.validation_after, most, width)
@@ -296,7 +304,10 @@ def _gap_rows(title: str, repair: Repair, before: Side, after: Side, most: int, 
     lines, sigma = [], levels(repair)
     for k, output in enumerate(list(before.gap.rmse)[:most]):
         old, new = before.gap, after.gap
-        both = "".join(f"{chi2_words(one.chi2_per_sample, repair):>10}" for one in (old, new))
+        first = _CHI2 if len(old.rmse) > 1 else 10
+        both = "".join(
+            f"{chi2_words(one.chi2_per_sample, repair):>{wide}}" for one, wide in ((old, first), (new, 10))
+        )
         chi2 = both if k == 0 else ""
         lines.append(
             f"  {title if k == 0 else '':<10}{short(output, width - 1):<{width}}{number(sigma.get(output), '.4g'):>10}"

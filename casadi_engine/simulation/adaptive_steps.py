@@ -65,6 +65,7 @@ def cvodes(field: ca.Function, tolerance: float, at: Array | None = None) -> ca.
     rate = h * field(z * scale, t + h * s, *rest)[0] / scale
     options = {
         "reltol": tolerance, "abstol": 1e-3 * tolerance, "max_num_steps": 200_000, "show_eval_warnings": False,
+        "disable_internal_warnings": True,  # what fails is a named error
     }  # fmt: skip
     problem = {"x": z, "t": s, "p": ca.vertcat(t, h, *rest, scale), "ode": rate}
     return ca.integrator("stiff", "cvodes", problem, 0.0, 1.0 if at is None else at.tolist(), options)
