@@ -142,9 +142,12 @@ def _found_lines(repair: Repair, most: int) -> Lines:
     return lines
 
 
-def _told_by(one: FoundEffect) -> str:
+def _told_by(one: FoundEffect, *, nearest: bool = False) -> str:
     """How surely an effect is there: by its score beside the model without it, and by the share of the gap that closes
-    with it. A score that says nothing of a large share is that of a law which bends the other way by one step."""
+    with it. A score that says nothing of a large share is that of a law which bends the other way by one step.
+
+    nearest : what it closes was said of all that come nearest, by another measure
+    """
     chance = "p < 1e-300" if one.p_value < 1e-300 else f"p = {one.p_value:.2g}"
     share = f"explains {100 * one.share_explained:.0f} % of the gap"
     if one.share_explained < 0.005:  # it rounds to 0 %
@@ -153,11 +156,13 @@ def _told_by(one: FoundEffect) -> str:
         return "beyond chance beside the others, and nothing without them"
     if one.p_value > _NONE:
         return f"{share}, by a refit: one step along the model without it shows nothing of that"
-    return f"z = {one.z:.1f}, {chance}, {share}"
+    return f"z = {one.z:.1f}, {chance}" if nearest else f"z = {one.z:.1f}, {chance}, {share}"
 
 
 def _effect(one: FoundEffect, repair: Repair, most: int) -> Lines:
-    lines = wrapped(f"  {one.sentence}: {_told_by(one)}", "    ")
+    near = () if repair.effects or repair.nearest is None else repair.nearest.names
+    told_by = _told_by(one, nearest=f"{one.name} at {one.at}" in near)
+    lines = wrapped(f"  {one.sentence}: {told_by}", "    ")
     for k, (name, found) in enumerate(one.parameters.items()):
         e, more = clock_of(repair.model).told(found, always=k > 0)
         more += of_either_sign(found) if k == 0 else ""

@@ -58,3 +58,12 @@ def test_a_structure_that_stays_unjudged_has_no_word_of_its_first_look(monkeypat
         "backlash at rod: fresh data refuse it",
         "the fresh data were not looked at to their end, as the time was up",
     ]
+
+
+def test_of_what_comes_nearest_one_share_is_told():
+    """ "which closes 59 % of the squared gap" stood above "explains 84 % of the gap"."""
+    from casadi_engine.discrepancy.summary import _told_by
+
+    one = SimpleNamespace(p_value=1e-9, share_explained=0.84, z=6.0)
+    assert _told_by(one) == "z = 6.0, p = 1e-09, explains 84 % of the gap"
+    assert _told_by(one, nearest=True) == "z = 6.0, p = 1e-09"
