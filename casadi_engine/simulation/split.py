@@ -126,9 +126,11 @@ def _own_slots(model: Model) -> Model | None:
 
 
 def _finite(model: Model, row: ca.SX) -> bool:
-    """True if the linear part of an equation is a number at the parameters' defaults; a square root's is not."""
-    at = ca.Function("at", [model.p], [ca.densify(row)])(model.parameter_vector())
-    return bool(np.isfinite(np.array(at)).all())
+    """True if the linear part of an equation is a number at the parameters' defaults, and so are its slopes by them; a
+    square root's is not, and exp(-E/T) has none by E where T is zero."""
+    parts = [ca.densify(part) for part in (row, ca.jacobian(row, model.p))]
+    found = ca.Function("at", [model.p], parts)(model.parameter_vector())
+    return all(np.isfinite(np.array(part)).all() for part in found)
 
 
 def _without_simple_laws(model: Model) -> Model:
