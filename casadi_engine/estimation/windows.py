@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from casadi_engine.estimation.constraints import Priors
 from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.starts import run_through
+from casadi_engine.model import Model
 
 Array = NDArray[np.float64]
 
@@ -72,7 +74,7 @@ def condense(record: RecordTerm, point: RecordPoint, nodes: Array, count: int) -
     slopes, chain = _chained(record, point, nodes, starts)
     grams = np.add.reduceat(slopes.transpose(0, 2, 1) @ slopes, starts, axis=0)
     own = grams[:, :n, :n]
-    own[:, range(n), range(n)] += _springs(own, nodes)
+    own[:, range(n), range(n)] += _springs(own, nodes, of_effects(record.model))
     size = np.sqrt(np.einsum("wii->wi", own))
     scaled = own / (size[:, :, None] * size[:, None, :])
     mixed = grams[:, :n, n:] / size[:, :, None]
@@ -83,12 +85,25 @@ def condense(record: RecordTerm, point: RecordPoint, nodes: Array, count: int) -
     return Condensed(slopes, chain, -inside / size[:, :, None], starts, squares, gaps)
 
 
-def _springs(own: Array, nodes: Array) -> Array:
+def _springs(own: Array, nodes: Array, added: list[int]) -> Array:
     """(W, n) of the springs on the states at the windows' starts, by the information (W, n, n) of them: a share of the
-    largest of a state, each by how large that state is, whatever its unit; nodes : (M, n)"""
+    largest of a state, each by how large that state is, whatever its unit. Where an effect's own state begins may do
+    what something else does too, as the place of a spring and an offset: those (added) count by their scale, or they
+    would go far away along a valley that has no end.
+
+    nodes : (M, n)
+    """
     size = sizes_of(nodes)
+    size[added] = 1.0
     most = (np.einsum("wii->wi", own) * size**2).max(axis=1, keepdims=True)
     return np.asarray(_SPRING**2 * most / size**2 + 1e-300)
+
+
+@lru_cache(maxsize=64)
+def of_effects(model: Model) -> list[int]:
+    """Numbers of the states that effects have brought with them."""
+    stems = tuple(f"{one.at}_{one.effect.name}_" for one in model.effects)
+    return [k for k, state in enumerate(model.states) if stems and state.name.startswith(stems)]
 
 
 def sizes_of(nodes: Array) -> Array:
