@@ -180,7 +180,9 @@ class Additions:
         port = left[0][1]
         effect = self.screened.candidates[self.families[left[0]][0]].source.effect
         simple = (effect.limit, port)
-        return [simple, *(key for key in left if key != simple)] if simple in left else left
+        # at a bound of its shape it says itself that it is that one
+        ahead = simple in left and not effect.limit_at
+        return [simple, *(key for key in left if key != simple)] if ahead else left
 
     def _in_turn(self, rest: list[Family], best: Tried | None, seconds: float) -> tuple[list[Family], bool]:
         """See ``_led``; and whether these seconds were enough for it."""

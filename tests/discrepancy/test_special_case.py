@@ -5,9 +5,15 @@ from types import SimpleNamespace
 import pytest
 
 from casadi_engine.discrepancy.additions import Additions
-from casadi_engine.effects import AsymmetricFriction, CoulombFriction, ViscousFriction
+from casadi_engine.effects import (
+    AsymmetricFriction,
+    ConstantTorque,
+    CoulombFriction,
+    LoadStep,
+    ViscousFriction,
+)
 
-EFFECTS = [AsymmetricFriction(), CoulombFriction(), ViscousFriction()]
+EFFECTS = [AsymmetricFriction(), CoulombFriction(), ViscousFriction(), LoadStep(), ConstantTorque()]
 
 
 @pytest.mark.parametrize(
@@ -19,6 +25,8 @@ EFFECTS = [AsymmetricFriction(), CoulombFriction(), ViscousFriction()]
         ),
         ([("asymmetric_friction", "car"), ("viscous_friction", "car")], "asymmetric_friction"),
         ([("viscous_friction", "car"), ("asymmetric_friction", "car")], "viscous_friction"),
+        # one at a bound of its time is told from its fit
+        ([("load_step", "car"), ("constant_torque", "car")], "load_step"),
     ],
 )
 def test_the_special_case_comes_before_what_has_a_number_more(left, first):
