@@ -298,7 +298,8 @@ class Answer:
         near = unknown_law if null.screened.request.blind else partial(unknown_law, everywhere=True)
         every = self._in_time("unknown law", lambda: self._along_all(claim)) if found else None
         near = near if every is None else partial(near, along=every)
-        held = claim.nearest or last  # effects that leave too much are still nearer than none
+        # effects that leave too much are still nearer than none, unless they bend to what is missing
+        held = last if claim.is_bent else claim.nearest or last
         looked = bool(found) or sure or (unknown is None and coloured)
         law = self._law(held, near) if looked else None
         far = bool(law and not held.effects and self._in_time("unknown law", lambda: self._is_far(held)))
@@ -591,7 +592,7 @@ def _said(
         return None
     if not claim.found and not refitted and _has_a_line(held, law):
         return None
-    if claim.nearest is not None and not claim.found and law.log < math.log(FACTOR):
+    if claim.nearest is not None and not claim.is_bent and not claim.found and law.log < math.log(FACTOR):
         return None
     return in_place_of(held, law, far=far)
 

@@ -10,7 +10,7 @@ from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh import gap_of, told_by_both
 from casadi_engine.discrepancy.fresh_choice import Confirmation
-from casadi_engine.discrepancy.fresh_misfit import HALF, SEEN, SURE
+from casadi_engine.discrepancy.fresh_misfit import GROWN, HALF, SEEN, SURE
 from casadi_engine.discrepancy.no_noise import why_no_noise
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
@@ -25,7 +25,7 @@ from casadi_engine.estimation import Fit
 _BY_CHANCE = 0.01
 _FAR = (
     "one of them an error far larger than a sensor or an input may well have: together they bend to what is missing, "
-    "and no fresh data have confirmed them"
+    "and no fresh data show that they are more than that"
 )
 _CUT = "explains, and the time was up before it was identified"
 
@@ -53,6 +53,11 @@ class Claim:
         near = (self.last, self.proof) if self.found else (self.nearest, self.nearest_proof)
         return Claim(proof, null, (), (*gone, *self.withdrawn), unknown, *near)
 
+    @property
+    def is_bent(self) -> bool:
+        """True where effects were withdrawn that bend to what is missing by an error far larger than there is."""
+        return not self.found and self.unknown is not None and _FAR in self.unknown.sentence
+
     def nearest_of(self) -> Nearest | None:
         """The model with the effects that were withdrawn; None without any."""
         if self.found or self.nearest is None or self.nearest_proof is None:
@@ -68,15 +73,14 @@ def reason_to_withdraw(
 ) -> Unknown | None:
     """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise,
     or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise, or of which
-    one is an error that is far larger than it may well be; or leave
-    more than a person would overlook, where the noise is known, or a sensor would be early; None where they are one.
+    one is an error far larger than it may well be, where fresh data do not confirm and fit them; or leave more than a person would overlook, where the noise is known, or a sensor would be early; None where they are one.
 
     cut : the search ended before all were refitted; far : an effect is far larger than it may well be
     """
     if not confirmed and not _visible(claim.found):
         small, beside = _too_small(claim.found), unknown_of(null.screened)
         return small if beside is None else replace(beside, sentence=f"{beside.sentence}; {small.sentence}")
-    if far and not confirmed and len(claim.found) > 1:
+    if far and len(claim.found) > 1 and not (confirmed and _fits_fresh(claim)):
         names = " and ".join(_names(claim.found))
         return Unknown(f"{names} explain the gap best, {_FAR}", {})
     noise, proof = claim.last.screened.noise, claim.proof
@@ -109,6 +113,13 @@ def reason_to_withdraw(
     words = f"{names} explains the gap best and closes {more}, which is no noise"
     unknown = claim.unknown or Unknown("what is left is coloured", {})
     return replace(unknown, sentence=f"{unknown.sentence}; {words}")
+
+
+def _fits_fresh(claim: Claim) -> bool:
+    """True unless fresh data leave a residual that is no noise of the same sensors."""
+    noise = claim.last.screened.noise
+    fresh = gap_of([one for _, one in claim.proof.after], noise).chi2_per_sample
+    return not fresh > GROWN**2 * gap_of([claim.last.screened.null], noise).chi2_per_sample
 
 
 def _names(found: Sequence[FoundEffect]) -> list[str]:

@@ -18,9 +18,12 @@ from casadi_engine.estimation.corner_widths import courses, paths_of
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+    from casadi_engine.effects.protocol import Effect
     from casadi_engine.estimation import Fit
     from casadi_engine.estimation.fit import Estimate
 
+# So many laws at one port bend to any curve that one law has, whichever sign what moves there has.
+_MANY = 3
 _LAW = "a law that the library lacks may be the true one there"
 
 
@@ -31,7 +34,8 @@ def told_as_one_law(repair: Repair) -> Repair:
     none of their numbers, neither by an error nor by an interval, they tell the curve alone: the leak through an
     orifice comes out as a proportional one and one that fades. Where the signal keeps its sign nothing jumps with it,
     and they add up to a curve whose numbers may be known while its law is not: a root about its mean is a constant and
-    a proportional loss.
+    a proportional loss. Three laws at one port are one curve whatever its sign: two linear losses and one by the square
+    had stood for a body that radiates.
     """
     ports: dict[str, list[FoundEffect]] = {}
     for one in repair.effects:
@@ -59,6 +63,8 @@ def _said(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
     if len(numbers) > 1 and not any(_is_told(one) for one in numbers):
         verb, whose = ("are", "their") if len(own) > 1 else ("is", "its")
         return f"{names} {verb} identified as one curve alone, none of {whose} parameters by itself: {_LAW}"
+    if fit is not None and len(_static(fit, at)) >= _MANY:
+        return f"{names} add up to one curve of what moves there: {_LAW}"
     signal = _one_signal(fit, at, 2) if len(own) > 1 and fit is not None else None
     if signal is None:
         return ""
@@ -152,11 +158,22 @@ def _symbols(expression: ca.SX) -> set[int]:
     return {symbol.element_hash() for symbol in ca.symvar(expression)}
 
 
+def _static(fit: Fit, at: str) -> list[Effect]:
+    """The effects at a port that act at any time and have no memory."""
+    own = [one.effect for one in fit.model.effects if one.at == at]
+    states = [state.name for state in fit.model.states]
+    return [
+        one
+        for one in own
+        if all(grid.over == "value" for grid in one.nuisance.values())
+        and not any(name.startswith(f"{at}_{one.name}_") for name in states)
+    ]
+
+
 def _one_signal(fit: Fit, at: str, least: int) -> str | None:
     """The signal of a port on which all effects there depend that act at any time, where it keeps its sign and they are
     so many at least."""
-    port, own = fit.model.ports[at], [one.effect for one in fit.model.effects if one.at == at]
-    laws = [one for one in own if all(grid.over == "value" for grid in one.nuisance.values())]
+    port, laws = fit.model.ports[at], _static(fit, at)
     read = {name for one in laws for row in rows_of(one) if row.port == port.kind for name in row.signals}
     if len(laws) < least or len(read) != 1 or not read <= set(port.signals):
         return None

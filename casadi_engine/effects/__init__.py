@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from casadi_engine.effects.orifice import OrificeLeak
     from casadi_engine.effects.parameter import WrongValue
     from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
+    from casadi_engine.effects.radiation import Radiation
     from casadi_engine.effects.sensor import (
         SensorDelay,
         SensorDrift,
@@ -72,6 +73,7 @@ __all__ = [
     "OrificeLeak",
     "Overflow",
     "QuadraticDrag",
+    "Radiation",
     "Relaxation",
     "SensorDelay",
     "SensorDrift",
@@ -113,6 +115,7 @@ import_at_first_use(
         "casadi_engine.effects.library": ("library",),
         "casadi_engine.effects.orifice": ("OrificeLeak",),
         "casadi_engine.effects.parameter": ("WrongValue",),
+        "casadi_engine.effects.radiation": ("Radiation",),
         "casadi_engine.effects.inputs": ("InputDelay", "InputGain", "InputLag", "InputOffset", "InputPath"),
         "casadi_engine.effects.sensor": (
             "SensorDelay",

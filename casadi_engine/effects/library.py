@@ -16,6 +16,7 @@ from casadi_engine.effects.inputs import InputDelay, InputGain, InputLag, InputO
 from casadi_engine.effects.orifice import OrificeLeak
 from casadi_engine.effects.parameter import WrongValue
 from casadi_engine.effects.protocol import Effect
+from casadi_engine.effects.radiation import Radiation
 from casadi_engine.effects.sensor import (
     SensorDelay,
     SensorDrift,
@@ -52,6 +53,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         CubicStiffness(),
         Backlash(),
         AmbientLoss(),
+        Radiation(),
         HiddenStorage(),
         Relaxation(),
         Misfire(),

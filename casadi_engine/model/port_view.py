@@ -90,6 +90,11 @@ class PortView:
         unit = self._port.units.get(signal)
         return unit is not None and read_unit(unit).dimension == "K"
 
+    def absolute_zero(self, signal: str) -> float:
+        """Absolute zero in the unit of a signal that is a temperature: -273.15 in degC; 0 of anything else."""
+        unit = read_unit(self._port.units[signal]) if self.is_temperature(signal) else None
+        return 0.0 if unit is None else float(-unit.offset / unit.factor)
+
     def is_head(self, signal: str) -> bool:
         """True if a signal of no machine is a pressure or, as its unit is one of length, a level."""
         unit = self._port.units.get(signal, NOT_STATED)
@@ -213,6 +218,21 @@ class PortView:
             return ca.mtimes(slope, states)
         scales = [model.states[k].scale for k in rows]
         return expression - ca.substitute(expression, states, ca.DM(scales))
+
+    def around(self, signal: str) -> Any:
+        """What the port's storage is beside, in the unit of a signal of it: what the signal is the difference to, else
+        the one drive of that unit by which the storage changes; None where there is none, or there are several."""
+        expression, own = ca.SX(getattr(self, signal)), ca.SX(self.stored(signal))
+        other, model, slot = ca.simplify(own - expression), self._model, self._port.slot
+        if not other.is_constant():
+            return other
+        if slot is None or not other.is_zero():
+            return None
+        rate = model.ode[ca.jacobian(model.ode, slot).row()]
+        unit = self._port.units.get(signal)
+        alike = [model.d[k] for k, one in enumerate(model.drives) if one.unit == unit]
+        beside = [one for one in alike if ca.depends_on(rate, one)]
+        return beside[0] if len(beside) == 1 else None
 
     def typical(self, signal: str) -> float:
         """Typical magnitude of a signal, from the scales of the states or channels that it is made of.

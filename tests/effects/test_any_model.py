@@ -136,7 +136,8 @@ def test_every_effect_acts_or_says_why_it_cannot(name):
             own = expected.get(port.name, set())
             acts = effect.name in own
             acts = acts or (
-                effect.name in ("ambient_loss", "hidden_storage", "ground_spring", "orifice_leak")
+                effect.name
+                in ("ambient_loss", "radiation", "hidden_storage", "ground_spring", "orifice_leak")
                 and port.kind == "inertia"
                 and "viscous_friction" in own
             )
