@@ -86,7 +86,7 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
     unused = model.idle_inputs
     found = []
     for port in model.ports:
-        if port.kind == "parameter" and "." not in port.parameter and _acts(model, port):
+        if _may_change(model, port) and _acts(model, port):
             at_ports = _said_at_ports(model, port, every)
             found += [(port, signal) for name, signal in made.items() if name not in at_ports]
             more = drops_of(model, port) | {
@@ -198,7 +198,7 @@ def same_parameters(model: Model, port: Port) -> tuple[str, ...]:
     moving = ca.vertcat(model.x, model.u, model.t)
     rng, found = np.random.default_rng(0), []
     for other in model.ports:
-        if other.kind != "parameter" or other.name == port.name or "." in other.parameter:
+        if other.name == port.name or not _may_change(model, other):
             continue
         acts = _rates(model, other, one)
         if acts is None or acts.nnz() == 0:
@@ -225,6 +225,13 @@ def _rates(model: Model, port: Port, value: ca.SX) -> ca.SX | None:
         return None
     ode = made.ode if beyond is None else made.ode + beyond
     return ca.substitute(ca.substitute(ode, model.w, model.laws), model.d, model.drive_expressions)
+
+
+def _may_change(model: Model, port: Port) -> bool:
+    """True for a parameter of the model's own that is no constant of physics."""
+    if port.kind != "parameter" or "." in port.parameter:
+        return False
+    return not any(one.name == port.parameter and one.is_constant_of_nature for one in model.declarations)
 
 
 def _acts(model: Model, port: Port) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_engine.deadline import TimeUp, unmetered
+from casadi_engine.deadline import Deadline, TimeUp, best_wanted, unmetered
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.clocks import clock_of
@@ -41,6 +41,8 @@ from casadi_engine.validation.held import parameters_for
 # Fresh data whose chi-squared per sample is so many times that of the fit, and more than it is by chance, are tried
 # from other initial states too.
 _POOR = 1.1
+# A further start may take so many times the work of those before it: one that loses the motion takes ever shorter steps.
+_PATIENCE = 10.0
 # Iterations for first states from which no path led to rest: a model that is far off has none that fit.
 _LOST, _MOST = 20, 60
 # The status of a simulation whose first states had not settled.
@@ -79,16 +81,17 @@ def held_fit(
     method = str(fit.options.get("method", "exact"))
 
     found, fault = None, None
-    near = first_states_on(model, record, held, levels, in_places=_in_places(fit))
+    with Deadline(best=best_wanted()) as limit:
+        near = first_states_on(model, record, held, levels, in_places=_in_places(fit))
     starts: list[Start | None] = [near and replace(near, in_places=_in_places(fit))]
     starts += [] if known is None else [_from_known(fit, model, record, known, near)]
     starts.append(None)
     if near is not None and not any(held[name].vary for name in held):
-        with unmetered(), suppress(CasadiEngineError, FloatingPointError):
+        with limit, unmetered(), suppress(CasadiEngineError, FloatingPointError):
             found = _simulated(fit, near, model, record, held, levels)
             if near.converged and (once or found.cost / found.n <= _chance(found) * _misfit(fit, noise)):
                 return found
-    last = len(starts)
+    last, spent = len(starts), limit.done
     for number in range(1 if found is not None and found.converged else 0, last + 1):
         if number == last:
             if found is None:
@@ -96,11 +99,14 @@ def held_fit(
             # a state that no output shows may rest elsewhere: on a side of a play, which short intervals lose
             starts.append(_unseen_from(fit, found))
         most = _LOST if number == 0 and (starts[0] is None or not starts[0].converged) else _MOST
+        limit = Deadline(work=math.inf if found is None else _PATIENCE * spent, best=best_wanted())
         try:
-            made = estimate(
-                model, record, parameters=held, noise=Noise(**levels), method=method, warm=starts[number],
-                progress=False, max_iterations=most, interval=fit.options.get("interval", "auto"), errors="quadratic",
-            )  # fmt: skip
+            with limit:
+                made = estimate(
+                    model, record, parameters=held, noise=Noise(**levels), method=method, warm=starts[number],
+                    progress=False, max_iterations=most, interval=fit.options.get("interval", "auto"),
+                    errors="quadratic",
+                )  # fmt: skip
         except (CasadiEngineError, FloatingPointError) as error:
             fault = error
             continue
@@ -108,6 +114,8 @@ def held_fit(
             if found is None:
                 raise
             break
+        finally:
+            spent += limit.done
         found = made if found is None else _better(found, made)
         if found.cost / found.n <= _chance(found) * _misfit(fit, noise):
             break

@@ -63,6 +63,12 @@ class WrongValue(Effect):
         declared, value = port.declaration, port.number("value", values)
         return self._at(value, declared.min, declared.max)
 
+    def idle(self, port: Any) -> str:
+        """No rig has another value of a constant of physics."""
+        declared = port.declaration
+        known = declared is not None and declared.is_constant_of_nature
+        return "no rig has another value of a constant of physics" if known else ""
+
     def _at(self, value: float, least: float, most: float) -> WrongValue:
         absolute = value == 0 if self.absolute is None else self.absolute
         if value == 0 and not absolute:

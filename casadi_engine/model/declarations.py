@@ -19,6 +19,7 @@ import casadi as ca
 from casadi_engine.effects.protocol import PORT_KINDS
 from casadi_engine.errors import ModelError, UnitError
 from casadi_engine.experiment.units import NOT_STATED, read_unit, unit_product, unit_words
+from casadi_engine.model.constants_of_nature import is_constant_of_nature
 from casadi_engine.model.port_units import MECHANICAL, follows_port, is_speed, quantity
 from casadi_engine.parameters import Parameter, near_matches
 
@@ -88,6 +89,11 @@ class ParameterDeclaration:
     def __post_init__(self) -> None:
         self.parameter()  # the checks of names, numbers and bounds live there
         check_unit(self.name, self.unit)
+
+    @property
+    def is_constant_of_nature(self) -> bool:
+        """True of a fixed one with the value and unit of gravity, the gas constant or another one of physics."""
+        return not self.vary and is_constant_of_nature(self.name, self.value, self.unit)
 
     def parameter(self) -> Parameter:
         """Return a fresh Parameter; ParameterError if name, value or bounds are not acceptable."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -381,6 +382,21 @@ def _sizes(residual: Array, model: Array, mask: NDArray[np.bool_], jacobian: Arr
     return size
 
 
+def _acting(fit: Fit, record: str) -> dict[str, Array]:
+    """The drives of a record by name; an input of which all acts behind what was recorded is what moves that."""
+    model, found = fit.model, dict(fit.drives[record])
+    inputs = {one.name for one in model.inputs}
+    behind = {}
+    for k, one in enumerate(model.drives):
+        of = {symbol.name() for symbol in ca.symvar(ca.SX(model.drive_expressions[k]))} & inputs
+        if len(of) == 1 and one.name not in inputs:
+            behind[one.name] = of.pop()
+    for drive, name in behind.items():
+        if name in found and not np.ptp(found[name][1]) > 0:
+            found[name] = found.pop(drive)
+    return found
+
+
 def _check(
     fit: Fit, record: str, output: str, trace: Trace, lags: int | None, again: Refit | None
 ) -> OutputCheck:
@@ -390,7 +406,7 @@ def _check(
     late = dict(fit.model.late)  # all of such an input acts as another drive
     drives = {
         name: _before(trace.time, *values) if name in held else np.interp(trace.time, *values)
-        for name, values in fit.drives[record].items()
+        for name, values in _acting(fit, record).items()
         if name not in late or np.ptp(values[1]) > 0
     }
     residual, mask, jacobian = trace.residual, trace.mask, None
