@@ -1,8 +1,8 @@
 """Unknown laws by all data: functions that were refitted on the data of the search are refitted on the fresh ones too.
 
 In one record a function of time, or of a signal that goes along with the right one, does what the right one does; in
-another record, where the signals go other ways, it does not. A function of time is another one in every record, and is
-paid for as often.
+another record, where the signals go other ways, it does not. A function of time begins again with every record, or is
+another one in each and is paid for as often.
 """
 
 from __future__ import annotations
@@ -52,24 +52,35 @@ def _with(refits: Refits, fresh: Sequence[Experiment]) -> Refits:
 
 
 def _again(wide: Refits, family: Family) -> Followed | None:
-    """A function on all data, over the range that they visit."""
+    """A function on all data, over the range that they visit. Of time it begins with every record, as what wears or
+    fills from the start of each, or is another one in each: whichever is more probable."""
+    found = _refitted(wide, family)
+    if family.signal != TIME:
+        return found
+    both = [one for one in (found, _refitted(wide, family, each=True)) if one is not None]
+    if not both:
+        return None
+    levels = min(both, key=lambda one: one.left).levels
+    return max(both, key=lambda one: one.log(levels)[0])
+
+
+def _refitted(wide: Refits, family: Family, *, each: bool = False) -> Followed | None:
     ask()
     race, none = Race.of(wide), wide.pool[frozenset()]
-    known = race.begun.get((family.port, family.signal))
-    if known is not None:
-        return followed(wide, known)
     port = wide.refitter.model.ports[family.port]
     own = [one for one in setups_at(wide, none, port) if one.family.signal == family.signal]
-    elsewhere = not own
     setup = next(iter(own or setups_elsewhere(wide, none, family)), None)
     if setup is None:
         return None
-    if family.signal == TIME:
+    if each:
         setup = _of_each_record(setup, [record.name for record in wide.refitter.data])
+    known = race.begun.get(setup.at)
+    if known is not None:
+        return followed(wide, known)
     begun = short(wide, none, setup.model, setup.parameters)
     if begun is None:
         return None
-    race.begun[setup.at] = Begun(setup, *begun, elsewhere=elsewhere)
+    race.begun[setup.at] = Begun(setup, *begun, elsewhere=not own)
     return followed(wide, race.begun[setup.at])
 
 
@@ -79,5 +90,5 @@ def _of_each_record(setup: Setup, records: Sequence[str]) -> Setup:
     parameters.vary_by_experiment(*setup.terms)
     terms = tuple(f"{term}@{name}" for name in records for term in setup.terms)
     return replace(
-        setup, parameters=parameters, terms=terms, deviations=np.tile(setup.deviations, len(records))
+        setup, parameters=parameters, terms=terms, deviations=np.tile(setup.deviations, len(records)), each=True
     )

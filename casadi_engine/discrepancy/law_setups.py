@@ -61,18 +61,22 @@ class _Function(Effect):
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """A model with a function: its parameters, the names of the terms, and their prior standard deviations."""
+    """A model with a function: its parameters, the names of the terms, and their prior standard deviations.
+
+    each : True for one that is another one in every record
+    """
 
     family: Family
     model: Model
     parameters: Parameters
     terms: tuple[str, ...]
     deviations: Array
+    each: bool = False
 
     @property
     def at(self) -> tuple[str, str]:
-        """Its port and its signal."""
-        return self.family.port, self.family.signal
+        """Its port and its signal, by which it is known."""
+        return self.family.port, f"{self.family.signal} of each record" if self.each else self.family.signal
 
 
 def setups_at(refits: Refits, tried: Tried, port: Port) -> list[Setup]:

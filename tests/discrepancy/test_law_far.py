@@ -160,7 +160,7 @@ def test_fresh_data_tell_a_function_of_what_acts_from_one_of_time(began):
         found.append(law_race.followed(refits, law_race.Begun(setup, *begun)))
     assert [one.setup.at for one in found] == [("tunnel", "speed"), ("sensor_y", TIME)]
     both = law_on_fresh.by_all_data(refits, found, [surged(2, "fresh")])
-    assert [one.setup.at for one in both] == [("tunnel", "speed"), ("sensor_y", TIME)]
+    assert [one.setup.at for one in both] == [("tunnel", "speed"), ("sensor_y", f"{TIME} of each record")]
     assert len(both[1].setup.terms) == 2 * len(found[1].setup.terms)
     alone, together = ([one.log(own[0].levels)[0] for one in own] for own in (found, both))
     assert together[0] - together[1] > alone[0] - alone[1] > 0
