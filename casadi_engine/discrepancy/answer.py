@@ -340,7 +340,8 @@ class Answer:
         law = replace(law, imitators=self._imitators(held, law)) if law.log >= math.log(FACTOR) else law
         judged = claim.proof.judgement  # what fresh data deny is no name for the law that is more probable
         denied = judged is not None and judged.confirmed is False and law.log >= math.log(FACTOR)
-        if judged is not None and judged.confirmed:  # or show that they explain what they ought to
+        # or show that they explain what they ought to, unless they are put there anew, at another time
+        if judged is not None and judged.confirmed and not any(one.moves for one in last.effects):
             fresh = closed_on_fresh(claim.proof, last.screened.noise)
             law = law if fresh is None else law.on_fresh(fresh)
         if not law.excludes and not denied:
