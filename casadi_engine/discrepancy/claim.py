@@ -73,7 +73,8 @@ def reason_to_withdraw(
 ) -> Unknown | None:
     """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise,
     or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise, or of which
-    one is an error far larger than it may well be, where fresh data do not confirm and fit them; or leave more than a person would overlook, where the noise is known, or a sensor would be early; None where they are one.
+    one is an error far larger than it may well be, where fresh data do not confirm and fit them; or leave more than a
+    person would overlook, where the noise is known, or a sensor would be early; None where they are one.
 
     cut : the search ended before all were refitted; far : an effect is far larger than it may well be
     """

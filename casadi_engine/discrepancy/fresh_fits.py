@@ -41,7 +41,7 @@ from casadi_engine.validation.held import parameters_for
 # Fresh data whose chi-squared per sample is so many times that of the fit, and more than it is by chance, are tried
 # from other initial states too.
 _POOR = 1.1
-# A further start may take so many times the work of those before it: one that loses the motion takes ever shorter steps.
+# A further start may take so many times the work of those before: one that loses the motion takes ever shorter steps.
 _PATIENCE = 10.0
 # Iterations for first states from which no path led to rest: a model that is far off has none that fit.
 _LOST, _MOST = 20, 60

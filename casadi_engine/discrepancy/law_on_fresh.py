@@ -90,5 +90,9 @@ def _of_each_record(setup: Setup, records: Sequence[str]) -> Setup:
     parameters.vary_by_experiment(*setup.terms)
     terms = tuple(f"{term}@{name}" for name in records for term in setup.terms)
     return replace(
-        setup, parameters=parameters, terms=terms, deviations=np.tile(setup.deviations, len(records)), each=True
+        setup,
+        parameters=parameters,
+        terms=terms,
+        deviations=np.tile(setup.deviations, len(records)),
+        each=True,
     )

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from casadi_engine.effects.candidate import Candidate, candidate, candidates, cycles_of
     from casadi_engine.effects.combustion import CylinderImbalance, Misfire
     from casadi_engine.effects.cross_sensitivity import CrossSensitivity
+    from casadi_engine.effects.edge import EndStop, LowerEndStop, Relief
     from casadi_engine.effects.events import by_record
     from casadi_engine.effects.friction import (
         AsymmetricFriction,
@@ -57,6 +58,7 @@ __all__ = [
     "CubicStiffness",
     "CylinderImbalance",
     "Effect",
+    "EndStop",
     "Grid",
     "GroundSpring",
     "HiddenStorage",
@@ -68,6 +70,7 @@ __all__ = [
     "InputPath",
     "Law",
     "LoadStep",
+    "LowerEndStop",
     "Misfire",
     "Motored",
     "OrificeLeak",
@@ -75,6 +78,7 @@ __all__ = [
     "QuadraticDrag",
     "Radiation",
     "Relaxation",
+    "Relief",
     "SensorDelay",
     "SensorDrift",
     "SensorGain",
@@ -104,6 +108,7 @@ import_at_first_use(
         "casadi_engine.effects.candidate": ("Candidate", "candidate", "candidates", "cycles_of"),
         "casadi_engine.effects.combustion": ("CylinderImbalance", "Misfire"),
         "casadi_engine.effects.cross_sensitivity": ("CrossSensitivity",),
+        "casadi_engine.effects.edge": ("EndStop", "LowerEndStop", "Relief"),
         "casadi_engine.effects.events": ("by_record",),
         "casadi_engine.effects.friction": (
             "AsymmetricFriction",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from casadi_engine.effects.ambient_loss import AmbientLoss
 from casadi_engine.effects.combustion import CylinderImbalance, Misfire
 from casadi_engine.effects.cross_sensitivity import CrossSensitivity
+from casadi_engine.effects.edge import EndStop, LowerEndStop, Relief
 from casadi_engine.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
@@ -52,6 +53,9 @@ def library(*names: str) -> tuple[Effect, ...]:
         GroundSpring(),
         CubicStiffness(),
         Backlash(),
+        EndStop(),
+        LowerEndStop(),
+        Relief(),
         AmbientLoss(),
         Radiation(),
         HiddenStorage(),

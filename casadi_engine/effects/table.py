@@ -109,6 +109,15 @@ class _Blank:
     def state(self, name: str) -> Any:
         return ca.SX.sym(name)
 
+    @property
+    def place(self) -> Any:
+        self.read.setdefault("speed", ca.SX.sym("speed"))
+        return ca.SX.sym("place")
+
+    def size(self, expression: Any) -> float:
+        del expression
+        return 1.0
+
     def absolute_zero(self, signal: str) -> float:
         del signal
         return 0.0

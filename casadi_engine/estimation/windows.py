@@ -246,7 +246,9 @@ class Windows:
         found = self._at(v, nodes)
         if found is not None and found.open >= _OPEN:
             if here is not None and found.squares.cost >= here.squares.cost:
-                return found.squares  # closed or not, a shorter step is asked for: one in forty is none with gaps closed
+                return (
+                    found.squares
+                )  # closed or not, a shorter step is asked for: one in forty is none with gaps closed
             found = self._joined(found)
         if found is None:
             return None

@@ -192,13 +192,27 @@ class PortView:
         found = ca.Function("response", known, [slope])(x, 0, 0, 0.0, p)
         return float(np.abs(np.array(found)).max())
 
+    @property
+    def place(self) -> Any:
+        """The angle or position that the port's speed moves, in the speed's unit times seconds: a signal or a state."""
+        speed, model, signals = self.speed, self._model, self._port.signals
+        shown = [signals[name] for name in ("angle", "position") if name in signals]
+        for one in (*shown, *ca.vertsplit(model.x)):
+            share = _constant_share(ca.jtimes(one, model.x, model.ode), speed)
+            if share is not None:
+                return one if share == 1 else one / share
+        return self._absent("angle")
+
+    def along(self, expression: Any) -> tuple[NDArray[np.float64], ...]:
+        """An expression along the simulation of each record, (N,) at its samples; empty where nothing was simulated."""
+        return () if self._courses is None else tuple(self._courses(expression))
+
     def courses(self, signal: str, *, stored: bool = False) -> tuple[NDArray[np.float64], ...]:
         """The signal along the simulation of each record, (N,) at its samples; empty where nothing was simulated.
 
         stored : as ``stored`` has it
         """
-        expression = self.stored(signal) if stored else getattr(self, signal)
-        return () if self._courses is None else tuple(self._courses(expression))
+        return self.along(self.stored(signal) if stored else getattr(self, signal))
 
     def stored(self, signal: str) -> Any:
         """What the storage in which the port's slot acts makes of a signal, up to a constant: of a temperature above an
@@ -239,7 +253,11 @@ class PortView:
 
         A signal that is not affine in them counts 1.
         """
-        expression, model = getattr(self, signal), self._model
+        return self.size(getattr(self, signal))
+
+    def size(self, expression: Any) -> float:
+        """The same of an expression."""
+        model = self._model
         for column, variables in ((model.x, model.states), (model.channels, model.inputs)):
             slope = ca.jacobian(expression, column)
             if slope.nnz() and not ca.symvar(slope):
@@ -247,6 +265,18 @@ class PortView:
                 found = float(np.linalg.norm(np.array(ca.DM(ca.densify(slope))).ravel() * scales))
                 return found if found > 0 else 1.0
         return 1.0
+
+
+def _constant_share(one: Any, other: Any) -> float | None:
+    """The number by which one expression is another one; None where it is no number but 0."""
+    symbols = ca.symvar(ca.vertcat(one, other))
+    both = ca.Function("both", [ca.vertcat(*symbols)], [one, other])
+    rng = np.random.default_rng(0)
+    drawn = [[float(part) for part in both(rng.uniform(0.5, 1.5, len(symbols)))] for _ in range(3)]
+    if not np.isfinite(drawn).all() or not all(own and base for own, base in drawn):
+        return None
+    shares = [own / base for own, base in drawn]
+    return float(shares[0]) if np.ptp(shares) <= 1e-9 * abs(shares[0]) else None
 
 
 def _is_constant(model: Model, port: Port, symbol: Any) -> bool:

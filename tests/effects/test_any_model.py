@@ -137,7 +137,7 @@ def test_every_effect_acts_or_says_why_it_cannot(name):
             acts = effect.name in own
             acts = acts or (
                 effect.name
-                in ("ambient_loss", "radiation", "hidden_storage", "ground_spring", "orifice_leak")
+                in ("ambient_loss", "radiation", "hidden_storage", "ground_spring", "orifice_leak", "relief")
                 and port.kind == "inertia"
                 and "viscous_friction" in own
             )

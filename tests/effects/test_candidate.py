@@ -288,7 +288,8 @@ def test_the_library_by_name():
     assert [e.name for e in effects.library()] == [
         "coulomb_friction", "viscous_friction", "quadratic_drag", "stribeck_friction", "asymmetric_friction",
         "constant_torque",
-        "ground_spring", "cubic_stiffness", "backlash", "ambient_loss", "radiation", "hidden_storage", "relaxation",
+        "ground_spring", "cubic_stiffness", "backlash", "end_stop", "lower_end_stop", "relief",
+        "ambient_loss", "radiation", "hidden_storage", "relaxation",
         "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_drift", "sensor_delay",
         "sensor_lag",
             "sensor_gain", "cross_sensitivity",
