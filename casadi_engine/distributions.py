@@ -14,6 +14,15 @@ from scipy import special
 Numbers = float | NDArray[np.float64]
 
 
+def p_words(p: float) -> str:
+    """A probability in a sentence, with its sign: one that is 0 but for rounding is none.
+
+    >>> p_words(0.0123), p_words(0.0)
+    ('p = 0.012', 'p < 1e-300')
+    """
+    return "p < 1e-300" if p < 1e-300 else f"p = {p:.2g}"
+
+
 def normal_sf(z: Numbers) -> Any:
     """P(Z > z) of a standard normal variable.
 

@@ -16,6 +16,8 @@ from casadi_engine.cli.options import Options
 from casadi_engine.errors import ResultError
 
 if TYPE_CHECKING:
+    from casadi_engine.estimation import Fit
+    from casadi_engine.experiment import Experiment
     from casadi_engine.model import Model
     from casadi_engine.parameters import Parameters
     from casadi_engine.problem import Problem
@@ -167,6 +169,56 @@ def noise_of(path: Path) -> dict[str, tuple[float, float]]:
         for name, one in (stored.get("noise") or {}).items()
         if isinstance(one, Mapping) and isinstance(one.get("sigma"), (int, float))
     }
+
+
+def same_files(path: Path, records: Iterable[Experiment]) -> list[str]:
+    """Names of the records whose files are those that a stored result was found from."""
+    known = {one.get("sha256") for one in _document(path).get("inputs") or ()} - {None}
+    return [one.name for one in records if one.sha256 in known]
+
+
+def stands_for(path: Path, found: Fit, parameters: Parameters, *, given: Options) -> Fit | None:
+    """A Fit that knows of its parameters what a stored one does, their errors and the noise; None where the file does
+    not tell all of it, or the values are not all those of the file.
+
+    found : a fit of other records with the stored values held; parameters : the problem's
+    """
+    import numpy as np
+
+    from casadi_engine.estimation.fit import Estimate
+    from casadi_engine.estimation.parameter_errors import ParameterErrors
+
+    stored = _document(path)
+    free, rows = tuple(stored.get("free") or ()), stored.get("covariance") or ()
+    entries, levels = stored.get("parameters") or {}, noise_of(path)
+    whole = free and levels and not stored.get("undetermined") and all(name in parameters for name in free)
+    if not whole or given.set or given.free or given.fix or set(levels) != set(found.noise):
+        return None
+    known = [entries[name] for name in free]
+    if any(
+        one.get("stderr") is None or one.get("unit") != parameters[name].unit
+        for one, name in zip(known, free, strict=True)
+    ):
+        return None
+    covariance = np.array([[math.nan if v is None else v for v in row] for row in rows], dtype=float)
+    if covariance.shape != (len(free),) * 2 or not np.isfinite(covariance).all():
+        return None
+    source = parameters.copy()
+    for name, own in source.items():
+        if own.tie is None:
+            own.set(vary=name in free)
+    own = [Estimate(one["value"], one["stderr"], one["unit"]) for one in known]
+    scale = np.sqrt(np.diag(covariance))
+    nothing = np.zeros((len(free), 0))
+    return dataclasses.replace(
+        found, parameters=source, data=(), traces={}, free=free, noise=_levels(levels), dof=float(stored["dof"]),
+        estimates={**found.estimates, **dict(zip(free, own, strict=True))},
+        errors=ParameterErrors.of(free, covariance, nothing, scale, np.zeros(len(free))), messages=(),
+    )  # fmt: skip
+
+
+def _levels(levels: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, bool]]:
+    return {name: (sigma, math.isfinite(dof)) for name, (sigma, dof) in levels.items()}
 
 
 def _in_its_unit(path: Path, name: str, found: tuple[float, str], unit: str) -> float:

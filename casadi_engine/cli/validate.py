@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from casadi_engine.cli.earlier import From, as_repaired, noise_of, values_of
+from casadi_engine.cli.earlier import From, as_repaired, noise_of, same_files, stands_for, values_of
 from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run, say
 from casadi_engine.cli.options import (
     Data,
@@ -61,12 +61,22 @@ def _work(job: Job) -> int:
     records = job.problem.load_validation() or job.problem.load_records()
     found = estimate_job(job, records, held(parameters, options.free))
     levels = {} if earlier is None else noise_of(earlier)
-    checked = validation.validate(found, known=None if found.free else levels) if found.converged else None
+    known = None if earlier is None else stands_for(earlier, found, parameters, given=options)
+    checked = None
+    if found.converged and known is not None:
+        checked = validation.validate(known, records)
+    elif found.converged:
+        checked = validation.validate(found, known=None if found.free else levels)
     write_answer(job, checked if checked is not None else found)
     say_answer(job, checked if checked is not None else found, source=earlier)
-    if earlier is not None and checked is not None:
+    if earlier is not None and known is None and checked is not None:
         say(
-            "The values count as exact here; `casadi-engine fit ... --validate FILE` counts with their errors"
+            "The values count as exact here, as the result does not tell all their errors; `casadi-engine fit ... "
+            "--validate FILE` counts with them"
+        )
+    for name in () if earlier is None else same_files(earlier, records):
+        say(
+            f"The result of {earlier} was found from the measurement of {name}: it tells nothing of fresh data"
         )
     say_where(job)
     if checked is None:

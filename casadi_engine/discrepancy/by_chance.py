@@ -17,6 +17,7 @@ from casadi_engine.discrepancy.fresh_misfit import SURE, fresh_misfit
 from casadi_engine.discrepancy.no_noise import why_no_noise
 from casadi_engine.discrepancy.repaired import UNCONFIRMED, Repair
 from casadi_engine.discrepancy.withdrawal import withdrawn
+from casadi_engine.distributions import p_words
 
 
 def held_to_chance(repair: Repair, log_odds: float = -math.inf) -> Repair:
@@ -31,7 +32,7 @@ def held_to_chance(repair: Repair, log_odds: float = -math.inf) -> Repair:
     against = "" if fresh is None else f" (p = {fresh:.2g}, of both together {_both(tests[what], fresh):.2g})"
     beyond = "is beyond chance on" if tests[what] < repair.alpha else "came by a refit to"
     words = (
-        f"{what} {beyond} the data of the search (p = {tests[what]:.2g}), and fresh data do not confirm it{against}: "
+        f"{what} {beyond} the data of the search ({p_words(tests[what])}), and fresh data do not confirm it{against}: "
         f"then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
     )
     bare = withdrawn(repair, UNCONFIRMED, None, words)

@@ -33,7 +33,7 @@ from casadi_engine.discrepancy.null_model import NullModel, null_model
 from casadi_engine.discrepancy.requests import Request, check_alpha, read_request
 from casadi_engine.discrepancy.score import Scores, score
 from casadi_engine.discrepancy.second_names import second_names_of
-from casadi_engine.distributions import normal_isf
+from casadi_engine.distributions import normal_isf, p_words
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.fit import Fit
@@ -78,7 +78,7 @@ class Screened:
         for k in self.order[:_SHOWN]:
             label, p = self.candidates[k].label, float(self.scores.p_value[k])
             lines.append(f"  {label:<60}{float(self.scores.statistic[k]):>10.2f}  p = {p:.2g}")
-        lines += [f"  {name}: p = {p:.2g}" for name, p in self.leftover.alarms.items()]
+        lines += [f"  {name}: {p_words(p)}" for name, p in self.leftover.alarms.items()]
         lines += [f"Not applicable: {one}" for one in self.not_applicable]
         return "\n".join([*lines, *(f"Note: {text}" for text in self.choice.messages)])
 

@@ -23,6 +23,7 @@ from casadi_engine.discrepancy.wording import (
     told,
     why_leads,
 )
+from casadi_engine.distributions import p_words
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.estimation.summary import count, number, short, with_error, wrapped
 from casadi_engine.experiment.units import NOT_STATED
@@ -148,7 +149,7 @@ def _told_by(one: FoundEffect, *, nearest: bool = False) -> str:
 
     nearest : what it closes was said of all that come nearest, by another measure
     """
-    chance = "p < 1e-300" if one.p_value < 1e-300 else f"p = {one.p_value:.2g}"
+    chance = p_words(one.p_value)
     share = f"explains {100 * one.share_explained:.0f} % of the gap"
     if one.share_explained < 0.005:  # it rounds to 0 %
         share = "closes nothing of the gap by itself"
@@ -213,7 +214,7 @@ def _where(repair: Repair) -> list[str]:
 def _unknown(repair: Repair) -> list[str]:
     if repair.unknown is None:
         return []
-    tests = ", ".join(f"{name} p = {p:.2g}" for name, p in list(repair.unknown.tests.items())[:3])
+    tests = ", ".join(f"{name} {p_words(p)}" for name, p in list(repair.unknown.tests.items())[:3])
     head = "Still unexplained" if repair.effects else "Unexplained"
     if repair.effects and repair.unknown.odds is not None:
         head = "More probable in its place" if more_probable(repair.unknown) else "Not excluded"

@@ -46,6 +46,7 @@ from casadi_engine.discrepancy.wording import (
     twins,
     what_acts,
 )
+from casadi_engine.distributions import p_words
 from casadi_engine.estimation.summary import count
 
 if TYPE_CHECKING:
@@ -220,7 +221,7 @@ def _by_chance(repair: Repair) -> str:
         return ""
     one = min(maybe, key=lambda found: found.p_value)
     return (
-        f"; {one.name} at {one.at} may be missing (p = {one.p_value:.2g}), and fresh data do not confirm it"
+        f"; {one.name} at {one.at} may be missing ({p_words(one.p_value)}), and fresh data do not confirm it"
     )
 
 

@@ -14,8 +14,9 @@ from casadi_engine.effects.protocol import Amplitude, Effect, Grid
 
 # Quantiles of a level or a place along the records at which its edge may be.
 _EDGES = (0.5, 0.7, 0.85, 0.95)
-# Share of the range over which an edge is rounded; what comes back within a share of a sample is as hard as any.
-_ROUNDED, _FASTEST = 1e-3, 0.25
+# Share of the range over which an edge is rounded at least, and of what is moved by from one sample to the next; what
+# comes back within a share of a sample is as hard as any.
+_ROUNDED, _SHARE, _FASTEST = 1e-3, 0.5, 0.25
 
 
 @dataclass(frozen=True)
@@ -24,15 +25,16 @@ class _Beyond(Effect):
 
     span : the least and the largest value of an edge; None for those along the records
     most : the largest amplitude; None takes what brings back within a quarter of a sample
-    rounded : width over which the edge is rounded, in the signal's unit; None takes a thousandth of the range
+    width : width over which the edge is rounded, in the signal's unit; None takes a thousandth of its magnitude, and
+        in refits what the records can follow
     """
 
     span: tuple[float, float] | None = None
     most: float | None = None
-    rounded: float | None = None
+    width: float | None = None
 
     attaches = ("inertia",)
-    alike = ("span", "most", "rounded")
+    alike = ("span", "most")
     _order: ClassVar[int] = 1
     _side: ClassVar[int] = 1
     _unit: ClassVar[str] = "rad/s"
@@ -65,8 +67,16 @@ class _Beyond(Effect):
         ends = float(f"{low:.4g}"), float(f"{high:.4g}")
         if not ends[0] < ends[1]:
             return self
-        wide = float(f"{_ROUNDED * (high - low):.2g}")
-        return replace(self, span=ends, most=float(f"{most:.2g}"), rounded=wide)
+        return replace(self, span=ends, most=float(f"{most:.2g}"))
+
+    def narrowed(self, port: Any, share: float = 1.0) -> Effect:
+        """As wide as what the signal moves by in half a sample, where no width was given."""
+        courses = [one for one in self._courses(port) if len(one) > 1]
+        if self.width is not None or not courses:
+            return self
+        moved = float(np.median(np.concatenate([np.abs(np.diff(one)) for one in courses])))
+        wide = max(_SHARE * moved, _ROUNDED * max(float(np.ptp(one)) for one in courses))
+        return replace(self, width=float(f"{share * wide:.2g}")) if wide > 0 else self
 
     def choices(self, port: Any, grids: Mapping[str, tuple[float, ...]]) -> tuple[dict[str, float], ...]:
         """Edges that the records spend some of their time beyond."""
@@ -77,8 +87,8 @@ class _Beyond(Effect):
         edges = np.quantile(np.concatenate(courses), at)
         return tuple({"edge": edge} for edge in dict.fromkeys(float(f"{one:.4g}") for one in edges))
 
-    def _width(self, port: Any) -> Any:
-        wide = self.rounded
+    def _corner(self, port: Any) -> Any:
+        wide = self.width
         if wide is None:
             wide = float(f"{_ROUNDED * port.size(self._of(port)):.2g}")
         return port.width(wide, unit=self._unit)
@@ -110,7 +120,7 @@ class Relief(_Beyond):
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """−rate (level − edge) where that is positive."""
-        return -p.rate * math.positive(port.speed - p.edge, width=self._width(port))
+        return -p.rate * math.positive(port.speed - p.edge, width=self._corner(port))
 
 
 @dataclass(frozen=True)
@@ -148,7 +158,7 @@ class EndStop(_Beyond):
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """∓k |x − edge| beyond the edge."""
-        beyond = math.positive(self._side * (port.place - p.edge), width=self._width(port))
+        beyond = math.positive(self._side * (port.place - p.edge), width=self._corner(port))
         return -self._side * p.stiffness * beyond
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.blas_threads import one_blas_thread
+from casadi_engine.distributions import p_words
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, Trace, estimate
 from casadi_engine.estimation.faulty_samples import faults, wild_samples
@@ -261,7 +262,7 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
             )
             said.append(
                 f"what is left of {output} on these data is {fresh / own:.3g} times its noise in the fit "
-                f"(p {chance:.2g}): {what}"
+                f"({p_words(chance)}): {what}"
             )
     return tuple(said)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -83,3 +84,57 @@ def test_values_of_a_fit_that_did_not_end_are_said_to_be_none(monkeypatch, capsy
     earlier.as_repaired(Path("result.json"), problem)
     words = " ".join(capsys.readouterr().out.split())
     assert ("The fit of result.json did not end (interrupted): its values are no optimum" in words) is told
+
+
+def test_a_result_that_knows_its_errors_is_held_with_them(here, call):
+    """A right repair failed on a third record: its values had counted as exact, while `ce.validate` counts with their
+    errors."""
+    assert call("fit", "problem.py", "--out", "out").code == 0
+    done = call("validate", "problem.py", "--from", "out", "--data", "fresh.csv", "--out", "held")
+    assert done.code == 0, done.err
+    assert "parameters agree with those of the fit within their errors" in done.out
+    assert "exact" not in done.out + done.err
+    assert "it tells nothing of fresh data" not in done.out + done.err
+    moved = call(
+        "validate",
+        "problem.py",
+        "--from",
+        "out",
+        "--data",
+        "fresh.csv",
+        "--out",
+        "moved",
+        "--set",
+        "J_eng=0.9",
+    )
+    assert (
+        "The values count as exact here, as the result does not tell all their errors"
+        in moved.out + moved.err
+    )
+
+
+def test_the_file_of_the_fit_itself_is_no_fresh_data(here, call):
+    call("fit", "problem.py", "--out", "out")
+    done = call("validate", "problem.py", "--from", "out", "--data", "run.csv", "--out", "same")
+    assert "was found from the measurement of run: it tells nothing of fresh data" in done.out + done.err
+
+
+@pytest.mark.parametrize("change", ["stderr", "covariance", "undetermined", "unit"])
+def test_what_the_file_does_not_tell_counts_as_exact(here, call, change):
+    call("fit", "problem.py", "--out", "out")
+    path = here / "out" / "result.json"
+    stored = json.loads(path.read_text())
+    name = stored["free"][0]
+    if change == "stderr":
+        stored["parameters"][name] |= {"stderr": None, "why": {"stderr": "not known"}}
+    elif change == "covariance":
+        stored["covariance"][0][0] = None
+    elif change == "undetermined":
+        stored["undetermined"] = [{"text": name, "weights": {name: 1.0}}]
+    else:
+        stored["parameters"][name]["unit"] = "g m2"
+        stored["parameters"][name]["value"] *= 1000
+        stored["parameter_set"] = None
+    path.write_text(json.dumps(stored))
+    done = call("validate", "problem.py", "--from", "out", "--data", "fresh.csv", "--out", "held")
+    assert "count as exact" in done.out + done.err

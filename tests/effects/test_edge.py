@@ -81,7 +81,11 @@ def test_the_place_is_a_signal_or_the_state_that_the_speed_moves(signals, effect
 def test_what_turns_on_and_on_meets_no_stop():
     run, skipped = moved("run", 1), []
     onward = ce.Experiment.from_arrays(
-        "onward", time=TIME, units={"F": "N", "shown": "m"}, F=np.full(600, 9.0), shown=0.3 * (1 - np.exp(-TIME))
+        "onward",
+        time=TIME,
+        units={"F": "N", "shown": "m"},
+        F=np.full(600, 9.0),
+        shown=0.3 * (1 - np.exp(-TIME)),
     )
     model = slide()
     assert len(ce.effects.candidates(model, [EndStop()], run, skipped=skipped)) == 4
