@@ -207,12 +207,12 @@ def stands_for(path: Path, found: Fit, parameters: Parameters, *, given: Options
     for name, own in source.items():
         if own.tie is None:
             own.set(vary=name in free)
-    own = [Estimate(one["value"], one["stderr"], one["unit"]) for one in known]
+    errors = [Estimate(one["value"], one["stderr"], one["unit"]) for one in known]
     scale = np.sqrt(np.diag(covariance))
     nothing = np.zeros((len(free), 0))
     return dataclasses.replace(
         found, parameters=source, data=(), traces={}, free=free, noise=_levels(levels), dof=float(stored["dof"]),
-        estimates={**found.estimates, **dict(zip(free, own, strict=True))},
+        estimates={**found.estimates, **dict(zip(free, errors, strict=True))},
         errors=ParameterErrors.of(free, covariance, nothing, scale, np.zeros(len(free))), messages=(),
     )  # fmt: skip
 

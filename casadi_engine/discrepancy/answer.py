@@ -240,7 +240,9 @@ class Answer:
             and unknown_of(seen.screened) is None
         ):
             doubt = None  # white noise alone had made findings of colour
-        return claim.withdrawn_for(doubt, seen, TOO_LITTLE)
+        return (
+            claim.withdrawn_for(None, seen, TOO_LITTLE) if doubt is None else claim.withdrawn_as(doubt, seen)
+        )
 
     def _is_large(self, last: Station) -> bool:
         """True where an error of a sensor or an input is far larger than one may well be: none is so wrong, and a law

@@ -14,7 +14,15 @@ from casadi_engine.discrepancy.fresh_misfit import GROWN, HALF, SEEN, SURE
 from casadi_engine.discrepancy.no_noise import why_no_noise
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.repaired import UNTOLD, FoundEffect, Nearest, Unknown
+from casadi_engine.discrepancy.repaired import (
+    BENT,
+    LEAVING,
+    TOO_LITTLE,
+    UNTOLD,
+    FoundEffect,
+    Nearest,
+    Unknown,
+)
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.wording import is_early
@@ -27,6 +35,7 @@ _FAR = (
     "one of them an error far larger than a sensor or an input may well have: together they bend to what is missing, "
     "and no fresh data show that they are more than that"
 )
+_NOT_ALL = "not all of it"
 _CUT = "explains, and the time was up before it was identified"
 
 
@@ -43,6 +52,11 @@ class Claim:
     unknown: Unknown | None
     nearest: Station | None = None
     nearest_proof: Confirmation | None = None
+
+    def withdrawn_as(self, doubt: Unknown, null: Station) -> Claim:
+        """Without any effect, for what ``reason_to_withdraw`` says."""
+        left = LEAVING if _NOT_ALL in doubt.sentence else TOO_LITTLE
+        return self.withdrawn_for(doubt, null, BENT if _FAR in doubt.sentence else left)
 
     def withdrawn_for(self, unknown: Unknown | None, null: Station, why: str) -> Claim:
         """Without any effect: something else is missing."""
@@ -110,7 +124,7 @@ def reason_to_withdraw(
     if enough and not known and (len(claim.found) == 1 or no_noise(claim.last) is None):
         return None
     names = " and ".join(_names(claim.found))
-    more = "not all of it" if closed >= HALF else "less of it than is left"
+    more = _NOT_ALL if closed >= HALF else "less of it than is left"
     words = f"{names} explains the gap best and closes {more}, which is no noise"
     unknown = claim.unknown or Unknown("what is left is coloured", {})
     return replace(unknown, sentence=f"{unknown.sentence}; {words}")

@@ -287,10 +287,10 @@ def _on_fresh(repair: Repair) -> str:
     found = how_far(repair)
     if fresh_misfit(repair) is not None:
         what = "which the repaired model does not fit" if repair.effects else "but fresh data do not fit"
-        if is_of_rounding(repair):
-            what = "which its corners, still rounded, do not follow"
-        elif is_louder(repair):
+        if is_louder(repair):
             what = "which are noisier" if repair.effects else "but fresh data are noisier"
+        elif is_of_rounding(repair):
+            what = "which its corners, still rounded, do not follow"
         return f", {what}: {found}"
     if fresh_doubt(repair) is not None:
         lead = ":" if repair.effects and not repair.confirmed else ", but"
@@ -326,7 +326,7 @@ def next_step(repair: Repair) -> str:
     if repair.next_experiment is not None:
         return _to_split(repair.next_experiment)
     apart = fresh_misfit(repair) is not None and not is_louder(repair)
-    if apart or _in_fresh_alone(repair) or _more_in_fresh(repair):
+    if apart or _in_fresh_alone(repair) or (_more_in_fresh(repair) and not _law_alone(repair)):
         return "look for what is missing in the fresh records: give them as data of the search"
     if repair.verdict == "nothing missing" and (fresh_doubt(repair) is not None or is_far_beyond(repair)):
         return "record more before you use the model, or give the fresh records as data too: its parameters are vague"
