@@ -73,11 +73,14 @@ def _said(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
 
 def _at_its_bound(own: Sequence[FoundEffect]) -> str:
     """What is said of an effect of which a number of its shape has gone to its bound: a storage that takes as long as
-    the record is a drift, and nothing shows that it gives back. A share may well be all or nothing."""
+    the record is a drift, and nothing shows that it gives back. A share may well be all or nothing, and what is 0 is
+    not there."""
     for one in own:
         shape = list(one.parameters.items())[1:]
         ended = [
-            n.rpartition(".")[2] for n, value in shape if value.at_bound and value.unit not in ("1", "-")
+            n.rpartition(".")[2]
+            for n, value in shape
+            if value.at_bound and value.value != 0 and value.unit not in ("1", "-")
         ]
         if ended:
             verb = "is at its bound" if len(ended) == 1 else "are at their bounds"

@@ -17,6 +17,8 @@ _EDGES = (0.5, 0.7, 0.85, 0.95)
 # Share of the range over which an edge is rounded at least, and of what is moved by from one sample to the next; what
 # comes back within a share of a sample is as hard as any.
 _ROUNDED, _SHARE, _FASTEST = 1e-3, 0.5, 0.25
+# Times that a stop is harder at the largest speed, at most; width of the corner where it lets go.
+_LOST, _SMALL = 4.0, 1e-3
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class _Beyond(Effect):
     width: float | None = None
 
     attaches = ("inertia",)
-    alike = ("span", "most")
+    alike: ClassVar[tuple[str, ...]] = ("span", "most")
     _order: ClassVar[int] = 1
     _side: ClassVar[int] = 1
     _unit: ClassVar[str] = "rad/s"
@@ -125,15 +127,20 @@ class Relief(_Beyond):
 
 @dataclass(frozen=True)
 class EndStop(_Beyond):
-    """An elastic stop at the upper end of the way, −k (x − edge) beyond it.
+    """A stop at the upper end of the way, −k (x − edge) (1 + d v) beyond it (Hunt and Crossley 1975).
 
     It is looked for where the port shows its place, by a signal angle or position or as the state that its speed moves.
+
+    fast : the largest speed of the records, by which the range of d is told; ``fitted`` sets it
 
     >>> EndStop().describe("gate")
     'an end stop at gate'
     """
 
+    fast: float | None = None
+
     name = "end_stop"
+    alike: ClassVar[tuple[str, ...]] = ("span", "most", "fast")
     kin = ("cubic_stiffness", "ground_spring", "backlash", "lower_end_stop")
     sentence = "an end stop at {port}"
     _order: ClassVar[int] = 2
@@ -144,6 +151,26 @@ class EndStop(_Beyond):
     def amplitude(self) -> Amplitude:  # type: ignore[override]
         """The stiffness, no larger than ``most``."""
         return Amplitude("stiffness", "N m/rad", 0.0, _math.inf if self.most is None else self.most)
+
+    @property
+    def nuisance(self) -> Mapping[str, Grid]:  # type: ignore[override]
+        """The edge, and how much harder the stop is where it is met at speed: what is lost there."""
+        most = 1.0 if self.fast is None else float(f"{_LOST / self.fast:.2g}")
+        words = "share per speed by which it is harder on the way in"
+        return {**super().nuisance, "damping": Grid(0.0, most, steps=2, unit="s/rad", description=words)}
+
+    def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
+        """The same with the speeds of the records, too."""
+        found = super().fitted(port, record, values)
+        speeds = [one for one in port.courses("speed") if np.isfinite(one).all()]
+        fast = max((float(np.abs(one).max()) for one in speeds), default=0.0)
+        known = self.fast is not None or not fast > 0
+        return found if known else replace(found, fast=float(f"{fast:.2g}"))  # type: ignore[type-var]
+
+    def choices(self, port: Any, grids: Mapping[str, tuple[float, ...]]) -> tuple[dict[str, float], ...]:
+        """Edges that the records spend some of their time beyond, with and without losses."""
+        edges = super().choices(port, grids)
+        return tuple({**one, "damping": damping} for one in edges for damping in grids["damping"])
 
     def idle(self, port: Any) -> str:
         """What moves to and fro meets a stop."""
@@ -157,9 +184,10 @@ class EndStop(_Beyond):
         return port.place
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
-        """∓k |x − edge| beyond the edge."""
+        """∓k |x − edge| (1 + d v) beyond the edge, v on the way in; nothing holds what leaves."""
         beyond = math.positive(self._side * (port.place - p.edge), width=self._corner(port))
-        return -self._side * p.stiffness * beyond
+        harder = math.positive(1 + self._side * p.damping * port.speed, width=_SMALL)
+        return -self._side * p.stiffness * beyond * harder
 
 
 @dataclass(frozen=True)

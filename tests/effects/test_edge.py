@@ -27,15 +27,16 @@ def slide(signals=None):
     return b.model()
 
 
-def moved(name, seed, side=1, stiffness=400.0):
-    """A stop at 0.12 m of the way, up or down."""
+def moved(name, seed, side=1, stiffness=400.0, lost=0.0):
+    """A stop at 0.12 m of the way, up or down, with so many N s/m on the way in."""
     rng = np.random.default_rng(seed)
     knots = np.linspace(0, TIME[-1], 40)
     force = np.interp(TIME, knots, rng.uniform(-8, 8, 40))
 
     def rate(t, y):
         beyond = max(side * y[0] - 0.12, 0.0)
-        return [y[1], np.interp(t, TIME, force) - 40 * y[0] - 3 * y[1] - side * stiffness * beyond]
+        pushed = side * (stiffness * beyond + (lost * max(side * y[1], 0.0) if beyond > 0 else 0.0))
+        return [y[1], np.interp(t, TIME, force) - 40 * y[0] - 3 * y[1] - pushed]
 
     x = solve_ivp(rate, (0, TIME[-1]), [0, 0], t_eval=TIME, rtol=1e-9, atol=1e-11, max_step=0.01).y[0]
     shown = x + 5e-4 * rng.standard_normal(len(x))
@@ -54,6 +55,16 @@ def test_a_repair_names_the_stop_its_edge_and_its_end(side):
     assert "an end stop at " in str(found)
 
 
+def test_a_stop_that_takes_up_speed_is_one_too():
+    """An elastic one alone was far too hard, its edge four errors off."""
+    records = [moved(name, seed, 1, 1500.0, 15.0) for name, seed in (("run", 1), ("fresh", 2))]
+    found = ce.repair(slide(), records[0], fresh=records[1], effects=["end_stop"], progress=False)
+    (one,) = found.effects
+    _, edge, damping = list(one.parameters.values())[:3]
+    assert edge.value == pytest.approx(0.12, abs=4e-3)
+    assert damping.value > 3 * damping.stderr > 0
+
+
 def test_nothing_is_met_where_no_stop_is():
     found = ce.repair(slide(), moved("run", 1, 1, 0.0), fresh=moved("fresh", 2, 1, 0.0), progress=False)
     assert found.verdict == "nothing missing"
@@ -70,7 +81,7 @@ def test_the_place_is_a_signal_or_the_state_that_the_speed_moves(signals, effect
     assert own[f"carriage.{effect.name}.edge"] == "m"
     made = ca.Function("rate", [model.x, model.u, model.p], [model.closed_ode[1]])
     p = [
-        {f"carriage.{effect.name}.stiffness": 9.0, f"carriage.{effect.name}.edge": 0.1, "m": 1.0}.get(n, 0)
+        {f"carriage.{effect.name}.stiffness": 9.0, f"carriage.{effect.name}.edge": 0.1, "m": 1.0}.get(n, 0.0)
         for n in model.parameter_names
     ]
     inside, beyond = (0.05, 0.3) if effect.name == "end_stop" else (0.3, 0.05)
@@ -88,7 +99,7 @@ def test_what_turns_on_and_on_meets_no_stop():
         shown=0.3 * (1 - np.exp(-TIME)),
     )
     model = slide()
-    assert len(ce.effects.candidates(model, [EndStop()], run, skipped=skipped)) == 4
+    assert len(ce.effects.candidates(model, [EndStop()], run, skipped=skipped)) == 8
     assert ce.effects.candidates(model, [EndStop()], onward, skipped=skipped) != ()  # nothing was simulated
 
     class Turning:
