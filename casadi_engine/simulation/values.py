@@ -94,7 +94,8 @@ def _adaptively(model: Model, grid: Grid, values: Array, start: Array, tolerance
     before: Array | None = None
     largest = np.inf
     for share in _RUNS:
-        run = _run(model, field, values, start, grid.time, low, high, max(share * tolerance, _LEAST))
+        each = max(share * tolerance, _LEAST)
+        run = _run(model, field, values, start, grid.time, low, high, each)
         with np.errstate(all="ignore"):
             outputs = show(np.ascontiguousarray(run.states.T), grid.channels, grid.time[None], values)[0]
         if not np.isfinite(outputs).all():
@@ -102,6 +103,8 @@ def _adaptively(model: Model, grid: Grid, values: Array, start: Array, tolerance
         if before is not None:
             absolute = _LEFT * np.abs(outputs - before).max(axis=1)
             size = np.abs(outputs).max(axis=1)
+            # samples may be so close that both runs take the same steps: what a step is off by is less than this
+            absolute = np.where(absolute > 0, absolute, each * size)
             relative = np.where(size > 0, absolute / np.where(size > 0, size, 1), absolute)
             largest = float(relative.max())
             if largest <= tolerance:
