@@ -77,15 +77,15 @@ def fresh_misfit(repair: Repair) -> str | None:
     return None
 
 
-def how_far(repair: Repair) -> str:
-    """Chi-squared per sample of the fresh data, of the output that is described worst where that of all is fine."""
+def how_far(repair: Repair, *, within: bool = False) -> str:
+    """Chi-squared per sample of the fresh data, of the output that is described worst where that of all is fine; within :
+    that of what errors of the parameters leave, which is noise."""
     output, (_, found, left) = _worst(repair), _in_all(repair)
     where = "chi2/N"
     if output is not None and not _beyond(repair, left):
         _, found, left = _of_output(repair, output)
         where = f"chi2/N of {output}"
-    # what errors of the parameters explain is no noise
-    if is_louder(repair) and f"{left:.3g}" != f"{found:.3g}":
+    if within and f"{left:.3g}" != f"{found:.3g}":
         return f"{where} {left:.3g} within the errors of the parameters"
     return f"{where} {found:.3g}"
 

@@ -289,6 +289,7 @@ def _on_fresh(repair: Repair) -> str:
         what = "which the repaired model does not fit" if repair.effects else "but fresh data do not fit"
         if is_louder(repair):
             what = "which are noisier" if repair.effects else "but fresh data are noisier"
+            found = how_far(repair, within=True)
         elif is_of_rounding(repair):
             what = "which its corners, still rounded, do not follow"
         return f", {what}: {found}"
