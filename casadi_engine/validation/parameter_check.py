@@ -37,6 +37,8 @@ _ROUNDS, _SETTLED = 6, 1e-4
 _EVALUATIONS = 60
 # A gap is called beyond the noise from this many standard deviations of chi-squared.
 _BEYOND = 3.0
+# Share of the information on a direction below which an output's residual is not moved by fitting it.
+_FELT = 0.01
 # Fewest samples of which a memory is told.
 _FEW = 30
 # Residual in standard deviations that stands for a point at which the model cannot be simulated.
@@ -105,7 +107,7 @@ class ParameterCheck:
 @dataclass(frozen=True, eq=False)
 class Refit:
     """The check, and by (record, output) what the tests of the residual need: the samples' numbers (K,), the residual
-    [output's unit] (K,), and its slopes (K, p).
+    [output's unit] (K,), and the directions (K, p) in which fitting has moved it.
 
     levels : output -> standard deviation of what no parameters explain of the fresh data, and that of the fit's noise,
     for outputs of which both are estimated; freedom : output -> degrees of freedom of the first one
@@ -323,21 +325,19 @@ class _Problem:
             why,
         )
         level = {place: sigma[place[1]] for place in self.shots.places}
+        frame = self._frame(x, slopes)
         return Refit(
             check,
             self.shots.index,
             {place: -residual[rows] * level[place] for place, rows in self.shots.places.items()},
-            {
-                place: slopes[rows][:, self.shots.columns(place[0])] * level[place]
-                for place, rows in self.shots.places.items()
-            },
+            {place: _felt(frame[rows]) * level[place] for place, rows in self.shots.places.items()},
             {
                 name: (sigma[name], self.fit.residual_level[name])
                 for name in sorted(self.estimated)
                 if name in self.fit.residual_level and self.freedom.get(name, 0.0) > 0
             },
             self.freedom,
-            self._reach(x, slopes),
+            self._reach(frame),
         )
 
     def _sizes(self, residual: FloatArray, slopes: FloatArray, sigma: Mapping[str, float]) -> FloatArray:
@@ -357,11 +357,14 @@ class _Problem:
         every = [noise[rows] for rows in self.shots.places.values()]
         return max((memory_of(own) for own in every if len(own) >= _FEW), default=1.0)
 
-    def _reach(self, x: FloatArray, slopes: FloatArray) -> dict[Place, float]:
+    def _frame(self, x: FloatArray, slopes: FloatArray) -> FloatArray:
+        """(N, r) orthonormal directions that all data and the fit determine, where they move the data."""
+        if not slopes.size:
+            return np.zeros((len(slopes), 0))
+        return orthonormal(np.vstack([slopes, self._prior(x)[1]]))[: len(slopes)]
+
+    def _reach(self, frame: FloatArray) -> dict[Place, float]:
         """See ``Refit``."""
-        frame = (
-            orthonormal(np.vstack([slopes, self._prior(x)[1]])) if slopes.size else np.zeros((len(slopes), 0))
-        )
         return {
             place: max(
                 1.0 - float((frame[rows].sum(axis=0) ** 2).sum()) / max(rows.stop - rows.start, 1), 0.0
@@ -427,6 +430,13 @@ class _Problem:
             )
             found[name] = Moved(fitted, float(value), unit)
         return found
+
+
+def _felt(own: FloatArray) -> FloatArray:
+    """(n, k) of the directions (n, r) that one output determines by a share that counts: what the other ones and the
+    fit determine takes nothing of its residual."""
+    _, share, right = np.linalg.svd(own, full_matrices=False)
+    return np.asarray(own @ right[share**2 > _FELT].T)
 
 
 def _kept(still: FloatArray, size: int) -> FloatArray:
