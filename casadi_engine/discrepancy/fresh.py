@@ -34,7 +34,7 @@ from casadi_engine.estimation import Fit
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.twins import refuse_twins, twin_of
 from casadi_engine.model import Model
-from casadi_engine.validation.parameter_prior import PriorSplit
+from casadi_engine.validation.parameter_prior import PriorSplit, felt
 
 Source = Literal["records", "cycles"]
 
@@ -203,11 +203,14 @@ def side(
         null = held_null
         with suppress(*FAILURES):  # where no slopes are to be had, all of the gap stands for itself
             null = held_null if source is None else doubted(source, fit)
+        parts: dict[tuple[str, str], tuple[Array, Array]] = {}
         if source is not None and null is not held_null:
             whole = residuals([null], choice.noise)
             splits.append(within_errors(source, null, whole))
             ends = np.cumsum([len(one.e) for one in whole])[:-1]
-            for one, part in zip(whole, np.split(splits[-1].within, ends), strict=True):
+            each = (np.split(part, ends) for part in (splits[-1].within, splits[-1].frame))
+            for one, part, frame in zip(whole, *each, strict=True):
+                parts[one.record, one.output] = part * one.sigma, felt(frame)
                 squares = float(one.e @ one.e) / one.sigma**2
                 shares.setdefault(one.output, []).append((float(part @ part), squares))
         scatter = scatter_of(null, fit.data, choice.cylinders) if choice.scatter else ()
@@ -217,11 +220,12 @@ def side(
         for record in null.records:
             white[record.name] = {}
             for output in record.outputs:
-                held = record.slopes[output]
+                rest, held = left[record.name][output], record.slopes[output]
                 if random is not None:
                     held = np.concatenate([held, random[record.name][output]], axis=1)
-                p = white_p(record, output, left[record.name][output], held)
-                white[record.name][output] = p
+                elif (record.name, output) in parts:  # what others determine takes nothing of it
+                    rest, held = parts[record.name, output]
+                white[record.name][output] = white_p(record, output, rest, held)
     memory = MEMORY if choice.noise.colour else 1.0
     within, chance = pooled(splits, memory)
     found = gap_of(told_by_both([one for _, one in pairs], [one for _, one in other])[0], choice.noise)

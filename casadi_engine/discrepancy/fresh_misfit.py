@@ -78,8 +78,10 @@ def fresh_misfit(repair: Repair) -> str | None:
 
 
 def how_far(repair: Repair, *, within: bool = False) -> str:
-    """Chi-squared per sample of the fresh data, of the output that is described worst where that of all is fine; within :
-    that of what errors of the parameters leave, which is noise."""
+    """Chi-squared per sample of the fresh data, of the output that is described worst where that of all is fine.
+
+    within : that of what errors of the parameters leave, which is noise
+    """
     output, (_, found, left) = _worst(repair), _in_all(repair)
     where = "chi2/N"
     if output is not None and not _beyond(repair, left):

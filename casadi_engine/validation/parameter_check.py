@@ -25,7 +25,7 @@ from casadi_engine.estimation.single_shots import Place, SingleShots
 from casadi_engine.estimation.varied_noise import sizes_of
 from casadi_engine.problem.noise import Noise
 from casadi_engine.validation.level_tests import memory_of, worth_of
-from casadi_engine.validation.parameter_prior import PriorSplit
+from casadi_engine.validation.parameter_prior import PriorSplit, felt
 from casadi_engine.validation.projection import orthonormal
 from casadi_engine.validation.residual_tests import ResidualTest
 
@@ -37,8 +37,6 @@ _ROUNDS, _SETTLED = 6, 1e-4
 _EVALUATIONS = 60
 # A gap is called beyond the noise from this many standard deviations of chi-squared.
 _BEYOND = 3.0
-# Share of the information on a direction below which an output's residual is not moved by fitting it.
-_FELT = 0.01
 # Fewest samples of which a memory is told.
 _FEW = 30
 # Residual in standard deviations that stands for a point at which the model cannot be simulated.
@@ -325,19 +323,18 @@ class _Problem:
             why,
         )
         level = {place: sigma[place[1]] for place in self.shots.places}
-        frame = self._frame(x, slopes)
         return Refit(
             check,
             self.shots.index,
             {place: -residual[rows] * level[place] for place, rows in self.shots.places.items()},
-            {place: _felt(frame[rows]) * level[place] for place, rows in self.shots.places.items()},
+            {place: felt(split.frame[rows]) * level[place] for place, rows in self.shots.places.items()},
             {
                 name: (sigma[name], self.fit.residual_level[name])
                 for name in sorted(self.estimated)
                 if name in self.fit.residual_level and self.freedom.get(name, 0.0) > 0
             },
             self.freedom,
-            self._reach(frame),
+            self._reach(split.frame),
         )
 
     def _sizes(self, residual: FloatArray, slopes: FloatArray, sigma: Mapping[str, float]) -> FloatArray:
@@ -356,12 +353,6 @@ class _Problem:
         """How many samples count for one in the output that is most coloured, by what parameters do not reach of it."""
         every = [noise[rows] for rows in self.shots.places.values()]
         return max((memory_of(own) for own in every if len(own) >= _FEW), default=1.0)
-
-    def _frame(self, x: FloatArray, slopes: FloatArray) -> FloatArray:
-        """(N, r) orthonormal directions that all data and the fit determine, where they move the data."""
-        if not slopes.size:
-            return np.zeros((len(slopes), 0))
-        return orthonormal(np.vstack([slopes, self._prior(x)[1]]))[: len(slopes)]
 
     def _reach(self, frame: FloatArray) -> dict[Place, float]:
         """See ``Refit``."""
@@ -430,13 +421,6 @@ class _Problem:
             )
             found[name] = Moved(fitted, float(value), unit)
         return found
-
-
-def _felt(own: FloatArray) -> FloatArray:
-    """(n, k) of the directions (n, r) that one output determines by a share that counts: what the other ones and the
-    fit determine takes nothing of its residual."""
-    _, share, right = np.linalg.svd(own, full_matrices=False)
-    return np.asarray(own @ right[share**2 > _FELT].T)
 
 
 def _kept(still: FloatArray, size: int) -> FloatArray:

@@ -21,12 +21,23 @@ from casadi_engine.distributions import chi2_sf, f_sf
 from casadi_engine.estimation.fit_percent import FloatArray
 from casadi_engine.validation.projection import REPEATED, orthonormal
 
+# Share of the information on a direction below which an output's residual is not moved by fitting it.
+_FELT = 0.01
+
+
+def felt(own: FloatArray) -> FloatArray:
+    """(n, k) of the directions (n, r) that one output determines by a share that counts: what the other ones and the
+    fit determine takes nothing of its residual."""
+    _, share, right = np.linalg.svd(own, full_matrices=False)
+    return np.asarray(own @ right[share**2 > _FELT].T)
+
 
 @dataclass(frozen=True, eq=False)
 class PriorSplit:
     """value : T; dof : its degrees of freedom; share : of its variance that comes from errors of the fit; step : (p,)
     of the columns at the least sum, covariance : (p, p) of it; within : (N,) what it leaves of the residual; noise :
-    (N,) what A does not reach, and rank : of A"""
+    (N,) what A does not reach, and rank : of A; frame : (N, r) orthonormal directions that data and fit determine,
+    where they move the data"""
 
     value: float
     dof: int
@@ -36,6 +47,7 @@ class PriorSplit:
     within: FloatArray
     noise: FloatArray
     rank: int
+    frame: FloatArray
 
     @staticmethod
     def of(residual: FloatArray, slopes: FloatArray, rows: FloatArray, offset: FloatArray) -> PriorSplit:
@@ -57,7 +69,10 @@ class PriorSplit:
         dof = reach.shape[1] + len(rows) - len(strength)
         lever = float(np.sum(left[len(residual) :] ** 2))
         share = float(np.clip((len(rows) - lever) / dof, 0.0, 1.0)) if dof > 0 else 0.0
-        return PriorSplit(max(value, 0.0), dof, share, step, root @ root.T, within, noise, reach.shape[1])
+        frame = left[: len(residual)]
+        return PriorSplit(
+            max(value, 0.0), dof, share, step, root @ root.T, within, noise, reach.shape[1], frame
+        )
 
     def p_value(self, of_fit: float, of_fresh: float) -> float | None:
         """Chance of a larger T, with noise levels estimated with so many degrees of freedom (infinite: known) from the
