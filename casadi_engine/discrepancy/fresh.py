@@ -34,6 +34,7 @@ from casadi_engine.estimation import Fit
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.twins import refuse_twins, twin_of
 from casadi_engine.model import Model
+from casadi_engine.simulation.grid import lay_grid
 from casadi_engine.validation.parameter_prior import PriorSplit, felt
 
 Source = Literal["records", "cycles"]
@@ -54,6 +55,28 @@ class Portions:
     fresh: tuple[Experiment, ...]
     source: Source | None
     why: str | None = None
+
+
+def check_fresh(model: Model, record: Experiment) -> None:
+    """Raise ExperimentError for a record without the model's channels, without any of its outputs, or with no more
+    samples than first states that are found there."""
+    measured = tuple(out.name for out in model.outputs if out.name in record)
+    if not measured:
+        raise ExperimentError(
+            f"{record.place} has nothing to confirm on",
+            seen=", ".join(record.names),
+            allowed=f"a record with {' or '.join(out.name for out in model.outputs)}",
+            cure="give another fresh record, or none",
+        )
+    lay_grid(model, record, outputs=measured)
+    samples, states = sum(int(record[name].mask.sum()) for name in measured), len(model.states)
+    if samples <= states:
+        raise ExperimentError(
+            f"{record.place} is too short to confirm anything",
+            seen=f"{samples} sample{'s' if samples != 1 else ''}",
+            allowed=f"more than the {states} first state{'s' if states != 1 else ''} that are found there",
+            cure="give a longer fresh record, or none",
+        )
 
 
 def portions(

@@ -20,7 +20,7 @@ from casadi_engine.discrepancy.checked_errors import with_checked_errors, with_e
 from casadi_engine.discrepancy.choice import ANY, TIME_UP, Choice
 from casadi_engine.discrepancy.event_intervals import with_intervals_of_times
 from casadi_engine.discrepancy.first_fit import continued, first_fit
-from casadi_engine.discrepancy.fresh import Portions, portions
+from casadi_engine.discrepancy.fresh import Portions, check_fresh, portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import FRESH
 from casadi_engine.discrepancy.input_hold import other_hold
@@ -46,7 +46,7 @@ from casadi_engine.discrepancy.wider_bounds import with_free_starts, with_wider_
 from casadi_engine.discrepancy.withdrawal import held_to_sizes
 from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, SHARE_OVER, UNRESOLVED, USER
 from casadi_engine.effects.candidate import Known
-from casadi_engine.errors import CasadiEngineError, EstimationError, ExperimentError
+from casadi_engine.errors import CasadiEngineError, EstimationError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.corner_widths import ROUNDED, felt_by, widths_of, with_widths
 from casadi_engine.estimation.estimate import _own, _records
@@ -62,7 +62,6 @@ from casadi_engine.model import Model
 from casadi_engine.model.corners import with_rounded_jumps
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
-from casadi_engine.simulation.grid import lay_grid
 
 _STARTS, _MOST = 4, 4
 # Share of the time that is left of the budget that the fit without effects may take, once more that by predictions, and
@@ -175,7 +174,7 @@ def repair(
     _check(noise, alpha, holdout)
     check_choice(model, scatter, colour)
     for record in others:
-        _check_fresh(model, record)
+        check_fresh(model, record)
     refuse_still(model, records)
     most, starts = whole("most", most, 1), whole("starts", starts, 1)
     neighbours, seed, jobs = whole("neighbours", neighbours, 0), whole("seed", seed, 0), checked_jobs(jobs)
@@ -630,16 +629,3 @@ def _check(noise: Noise | None, alpha: Any, holdout: Any) -> None:
             allowed="a share of the cycles from 0 to 0.9",
             cure="give holdout=0.3, or fresh data",
         )
-
-
-def _check_fresh(model: Model, record: Experiment) -> None:
-    """Raise ExperimentError for a record without the model's channels, or without any of its outputs."""
-    measured = tuple(out.name for out in model.outputs if out.name in record)
-    if not measured:
-        raise ExperimentError(
-            f"{record.place} has nothing to confirm on",
-            seen=", ".join(record.names),
-            allowed=f"a record with {' or '.join(out.name for out in model.outputs)}",
-            cure="give another fresh record, or none",
-        )
-    lay_grid(model, record, outputs=measured)
