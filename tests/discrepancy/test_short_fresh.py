@@ -2,37 +2,33 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.fresh import check_fresh
 from casadi_engine.errors import ExperimentError
 
 
-@pytest.mark.parametrize(("kept", "fine"), [(1, False), (2, True)])
-def test_a_fresh_record_of_no_more_samples_than_first_states_is_refused(kept, fine):
-    """Two samples, which two first states meet to rounding, had contradicted a friction that was right."""
-    b = ce.Blueprint("body")
-    speed = b.state("v", unit="m/s")
+def cart():
+    b = ce.Blueprint("cart")
+    place, speed = b.state("x", unit="m"), b.state("v", unit="m/s")
+    b.ode("x", speed)
     b.ode("v", b.input("F", unit="N") - b.parameter("c", 1.0, min=0) * speed)
-    b.output("seen", speed, unit="m/s")
-    model, time = b.model(), np.arange(200) * 0.05
-    force = np.repeat(np.random.default_rng(1).uniform(-1, 1, 20), 10)
-    seen = lfilter([0, 0.05], [1, -0.95], force) + 0.01 * np.random.default_rng(2).standard_normal(200)
-    made = [
-        ce.Experiment.from_arrays(
-            n, time=time[:k], units={"F": "N", "seen": "m/s"}, F=force[:k], seen=seen[:k]
-        )
-        for n, k in (("run", 200), ("short", 2))
-    ]
-    short = made[1]
-    if kept < 2:
-        held = np.array([seen[0] + 1e-3, np.nan])
-        short = ce.Experiment.from_arrays(
-            "short", time=time[:2], units={"F": "N", "seen": "m/s"}, F=force[:2], seen=held
-        )
-    if fine:
-        check_fresh(model, short)
-    else:
-        with pytest.raises(ExperimentError, match=r"short is too short to confirm anything; seen: 1 sample;"):
-            ce.repair(model, made[0], fresh=short, progress=False)
+    b.output("seen", place, unit="m")
+    return b.model()
+
+
+def record(name, count):
+    time = np.arange(count) * 0.1
+    units = {"F": "N", "seen": "m"}
+    return ce.Experiment.from_arrays(name, time=time, units=units, F=np.sin(time), seen=0.5 * time**2)
+
+
+def test_a_fresh_record_of_no_more_samples_than_first_states_is_refused():
+    """Two samples, which two first states meet to rounding, had contradicted a friction that was right."""
+    check_fresh(cart(), record("long", 3))
+    with pytest.raises(
+        ExperimentError,
+        match=r"short is too short to confirm anything; seen: 2 samples; allowed: more than the 2 first states that are "
+        r"found there; do: give a longer fresh record, or none",
+    ):
+        ce.repair(cart(), record("run", 200), fresh=record("short", 2), progress=False)
