@@ -60,6 +60,7 @@ from casadi_engine.discrepancy.fresh import (
 from casadi_engine.discrepancy.fresh_choice import LEFT_OUT, NO_RUN, Confirmation, FreshChoice
 from casadi_engine.discrepancy.fresh_fits import events_told
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
+from casadi_engine.discrepancy.full_stores import is_overfull
 from casadi_engine.discrepancy.joint_fit import asks_for_one, with_joint_fit
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.law_refit import is_far, refitted_law
@@ -229,7 +230,9 @@ class Answer:
             unknown = Unknown(so_far(self.search)[0], {} if unknown is None else unknown.tests)
         claim = Claim(proof, last, found, withdrawn, unknown)
         sure = proof.judgement is not None and bool(proof.judgement.confirmed)
-        doubt = reason_to_withdraw(claim, null, sure, cut=cut, far=self._is_large(last)) if found else None
+        full = {r: {s: one.value for s, one in own.items()} for r, own in last.fit.initial.items()}
+        far = {"far": self._is_large(last), "full": is_overfull(last.effects, full)}
+        doubt = reason_to_withdraw(claim, null, sure, cut=cut, **far) if found else None
         if doubt is None:
             return claim
         seen = self._in_own_colour(null)

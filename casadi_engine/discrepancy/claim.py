@@ -35,6 +35,10 @@ _FAR = (
     "one of them an error far larger than a sensor or an input may well have: together they bend to what is missing, "
     "and no fresh data show that they are more than that"
 )
+_FULL = (
+    "a storage that would begin far beyond what is ever stored there: it bends to what is missing, whatever fades or "
+    "comes slowly"
+)
 _NOT_ALL = "not all of it"
 _CUT = "explains, and the time was up before it was identified"
 
@@ -56,7 +60,8 @@ class Claim:
     def withdrawn_as(self, doubt: Unknown, null: Station) -> Claim:
         """Without any effect, for what ``reason_to_withdraw`` says."""
         left = LEAVING if _NOT_ALL in doubt.sentence else TOO_LITTLE
-        return self.withdrawn_for(doubt, null, BENT if _FAR in doubt.sentence else left)
+        bent = _FAR in doubt.sentence or _FULL in doubt.sentence
+        return self.withdrawn_for(doubt, null, BENT if bent else left)
 
     def withdrawn_for(self, unknown: Unknown | None, null: Station, why: str) -> Claim:
         """Without any effect: something else is missing."""
@@ -70,7 +75,8 @@ class Claim:
     @property
     def is_bent(self) -> bool:
         """True where effects were withdrawn that bend to what is missing by an error far larger than there is."""
-        return not self.found and self.unknown is not None and _FAR in self.unknown.sentence
+        said = "" if self.found or self.unknown is None else self.unknown.sentence
+        return _FAR in said or _FULL in said
 
     def nearest_of(self) -> Nearest | None:
         """The model with the effects that were withdrawn; None without any."""
@@ -83,15 +89,18 @@ class Claim:
 
 
 def reason_to_withdraw(
-    claim: Claim, null: Station, confirmed: bool, *, cut: bool = False, far: bool = False
+    claim: Claim, null: Station, confirmed: bool, *, cut: bool = False, far: bool = False, full: bool = False
 ) -> Unknown | None:
     """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise,
     or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise, or of which
     one is an error far larger than it may well be, where fresh data do not confirm and fit them; or leave more than a
     person would overlook, where the noise is known, or a sensor would be early; None where they are one.
 
-    cut : the search ended before all were refitted; far : an effect is far larger than it may well be
+    cut : the search ended before all were refitted; far : an effect is far larger than it may well be; full : one is a
+    storage that begins far beyond what is stored there
     """
+    if full:
+        return Unknown(f"{' and '.join(_names(claim.found))} explains the gap best, {_FULL}", {})
     if not confirmed and not _visible(claim.found):
         small, beside = _too_small(claim.found), unknown_of(null.screened)
         return small if beside is None else replace(beside, sentence=f"{beside.sentence}; {small.sentence}")

@@ -25,6 +25,7 @@ from casadi_engine.discrepancy.evidence import (
     levels_left,
 )
 from casadi_engine.discrepancy.exchanged_units import impossible, more_than_whole
+from casadi_engine.discrepancy.full_stores import is_overfull
 from casadi_engine.discrepancy.gradual import Gradual, in_place_of_event
 from casadi_engine.discrepancy.late_samples import Samples, beyond, leaving_out
 from casadi_engine.discrepancy.linear_algebra import Array
@@ -141,6 +142,8 @@ class Refits:
     def _counted(self, effects: tuple[Addition, ...], arrived: Arrived) -> Tried | None:
         """A refit with its evidence; None where a sensor would have a gain or a delay that none has."""
         if impossible(effects, arrived.values, self.refitter.model, self.refitter.data):
+            return None
+        if is_overfull(effects, arrived.initial):
             return None
         try:
             with np.errstate(all="ignore"):

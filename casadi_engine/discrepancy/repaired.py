@@ -29,7 +29,7 @@ IN_PART = "closing the gap of fresh data in part alone"
 TOO_LITTLE, BEHIND_LAW = "closing too little of the gap", "less probable than an unknown law"
 LEAVING, BENT = (
     "leaving more than noise",
-    "bending to what is missing, by an error that is too large to be one",
+    "bending to what is missing, by what is too large to be true",
 )
 UNJUDGED = "leaving more than noise, and not held against fresh data before the time was up"
 BEHIND_OTHERS = "far less probable than what could not be fitted to its end"

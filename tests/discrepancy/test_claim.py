@@ -232,6 +232,20 @@ def test_several_with_an_error_that_is_far_too_large_are_no_answer_unless_confir
     assert not withdrawn or "one of them an error far larger than a sensor or an input may" in found.sentence
 
 
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_a_storage_that_begins_beyond_what_is_ever_there_is_no_answer(monkeypatch, confirmed):
+    """A membrane whose pores block was a storage behind its cake, "confirmed"."""
+    claim, null = claimed(monkeypatch, before=3.0, after=1.0, tests=None)
+    found = reason_to_withdraw(claim, null, confirmed, full=True)
+    assert (
+        "explains the gap best, a storage that would begin far beyond what is ever stored" in found.sentence
+    )
+    bent = claim.withdrawn_as(found, null)
+    assert bent.is_bent
+    assert bent.withdrawn[0].why_withdrawn == "bending to what is missing, by what is too large to be true"
+    assert not claim.is_bent
+
+
 @pytest.mark.parametrize(("after", "withdrawn"), [(1.5, True), (1.05, False)])
 def test_an_error_of_a_sensor_is_all_that_is_wrong_or_none_of_it(monkeypatch, after, withdrawn):
     claim, null = claimed(monkeypatch, before=3.0, after=after, tests={"line": 1e-9}, kind="sensor")
