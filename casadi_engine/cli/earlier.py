@@ -201,7 +201,8 @@ def stands_for(path: Path, found: Fit, parameters: Parameters, *, given: Options
     ):
         return None
     covariance = np.array([[math.nan if v is None else v for v in row] for row in rows], dtype=float)
-    if covariance.shape != (len(free),) * 2 or not np.isfinite(covariance).all():
+    told = covariance.shape == (len(free),) * 2 and np.isfinite(covariance).all()
+    if not told or not (np.diag(covariance) > 0).all():
         return None
     source = parameters.copy()
     for name, own in source.items():
@@ -211,7 +212,8 @@ def stands_for(path: Path, found: Fit, parameters: Parameters, *, given: Options
     scale = np.sqrt(np.diag(covariance))
     nothing = np.zeros((len(free), 0))
     return dataclasses.replace(
-        found, parameters=source, data=(), traces={}, free=free, noise=_levels(levels), dof=float(stored["dof"]),
+        found, parameters=source, data=(), traces={}, free=free, noise=_levels(levels),
+        dof=float(stored.get("dof") or 1),
         estimates={**found.estimates, **dict(zip(free, errors, strict=True))},
         errors=ParameterErrors.of(free, covariance, nothing, scale, np.zeros(len(free))), messages=(),
     )  # fmt: skip

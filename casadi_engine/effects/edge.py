@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.effects.protocol import Amplitude, Effect, Grid
+from casadi_engine.errors import EffectError
 
 # Quantiles of a level or a place along the records at which its edge may be.
 _EDGES = (0.5, 0.7, 0.85, 0.95)
@@ -151,6 +152,15 @@ class EndStop(_Beyond):
     def amplitude(self) -> Amplitude:  # type: ignore[override]
         """The stiffness, no larger than ``most``."""
         return Amplitude("stiffness", "N m/rad", 0.0, _math.inf if self.most is None else self.most)
+
+    def __post_init__(self) -> None:
+        if self.fast is not None and not 0 < self.fast < _math.inf:
+            raise EffectError(
+                "the largest speed at which a stop is met is not acceptable",
+                seen=f"fast={self.fast!r}",
+                allowed="a finite number above 0, in the unit of the port's speed",
+                cure="leave it out: the records tell it",
+            )
 
     @property
     def nuisance(self) -> Mapping[str, Grid]:  # type: ignore[override]

@@ -119,7 +119,7 @@ def test_the_file_of_the_fit_itself_is_no_fresh_data(here, call):
     assert "was found from the measurement of run: it tells nothing of fresh data" in done.out + done.err
 
 
-@pytest.mark.parametrize("change", ["stderr", "covariance", "undetermined", "unit"])
+@pytest.mark.parametrize("change", ["stderr", "covariance", "negative", "undetermined", "unit"])
 def test_what_the_file_does_not_tell_counts_as_exact(here, call, change):
     call("fit", "problem.py", "--out", "out")
     path = here / "out" / "result.json"
@@ -129,6 +129,8 @@ def test_what_the_file_does_not_tell_counts_as_exact(here, call, change):
         stored["parameters"][name] |= {"stderr": None, "why": {"stderr": "not known"}}
     elif change == "covariance":
         stored["covariance"][0][0] = None
+    elif change == "negative":
+        stored["covariance"][0][0] *= -1
     elif change == "undetermined":
         stored["undetermined"] = [{"text": name, "weights": {name: 1.0}}]
     else:
@@ -138,3 +140,13 @@ def test_what_the_file_does_not_tell_counts_as_exact(here, call, change):
     path.write_text(json.dumps(stored))
     done = call("validate", "problem.py", "--from", "out", "--data", "fresh.csv", "--out", "held")
     assert "count as exact" in done.out + done.err
+
+
+@pytest.mark.parametrize("change", [{"covariance": "none"}, {"free": 3}])
+def test_a_result_that_was_edited_to_something_else_is_refused(here, call, change):
+    call("fit", "problem.py", "--out", "out")
+    path = here / "out" / "result.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    done = call("validate", "problem.py", "--from", "out", "--data", "fresh.csv", "--out", "held")
+    assert done.code == 2
+    assert f"result.{next(iter(change))} does not fit the schema" in done.err

@@ -113,6 +113,14 @@ def test_what_turns_on_and_on_meets_no_stop():
     assert EndStop().idle(Turning()) == "what moves in one direction alone meets no stop"
 
 
+@pytest.mark.parametrize("fast", [0.0, -1.0, np.inf, np.nan])
+def test_a_stop_is_met_at_some_speed(fast):
+    with pytest.raises(
+        EffectError, match=r"the largest speed at which a stop is met is not acceptable; seen: fast="
+    ):
+        LowerEndStop(fast=fast)
+
+
 def test_where_no_place_is_shown_there_is_no_stop():
     b = ce.Blueprint("shaft")
     w = b.state("w", unit="rad/s")
