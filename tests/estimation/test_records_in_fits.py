@@ -222,7 +222,8 @@ def test_noise_free_data_return_the_truth(run_up):
 
 def test_drives_and_inputs_of_the_fit(shaft, shaft_model):
     made = shaft()
-    fit = ce.estimate(shaft_model(), made.data, progress=False)
+    # alone: whether a second search is worth its time depends on what else the machine does
+    fit = ce.estimate(shaft_model(), made.data, progress=False, errors="quadratic")
     assert set(fit.drives["shaft"]) == {"T", "T_load"}
     np.testing.assert_allclose(fit.drives["shaft"]["T"], [made.data["T"].time, made.data["T"].values])
     assert fit.data == (made.data,)
