@@ -132,6 +132,14 @@ def left() -> float:
     return math.inf if here is None else here.left
 
 
+def work_left() -> float:
+    """Units of work that may still be done; inf where none are counted."""
+    here, least = _current.get(), math.inf
+    while here is not None:
+        least, here = min(least, here.work - here.done), here.outer
+    return max(least, 0.0)
+
+
 def ending_before(seconds: float, share: float) -> AbstractContextManager[object]:
     """A deadline so many seconds before the one that holds, but for no more than a share of what is left until then;
     none where none holds."""

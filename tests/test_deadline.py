@@ -17,6 +17,7 @@ from casadi_engine.deadline import (
     lifted,
     unmetered,
     was_stopped,
+    work_left,
 )
 
 
@@ -120,6 +121,21 @@ def test_work_counts_in_all_that_are_around():
             ask(2.0)
         assert (outer.done, inner.done) == (5.0, 5.0)
         assert (outer.late, inner.late) == (False, False)
+
+
+def test_work_that_is_left_is_the_least_of_all_around():
+    assert work_left() == math.inf
+    with Deadline(work=10.0), Deadline(work=8.0):
+        ask(3.0)
+        assert work_left() == 5.0
+        with Deadline():
+            ask(4.0)
+            assert work_left() == 1.0
+    with Deadline(work=1.0), pytest.raises(TimeUp):
+        ask(2.0)
+    with Deadline(work=1.0) as own:
+        own.done = 2.0
+        assert work_left() == 0.0
 
 
 def test_a_stop_ends_it_now_and_cannot_be_taken_back(clock):

@@ -270,9 +270,7 @@ class Answer:
         """True where a function at a port is what rounded corners leave of a law there, and sharper ones are felt."""
         refits = self.search.refits
         ports = {one.candidate.port for one in last.effects if refits.path.cornered([one])}
-        return (
-            unknown.course is not None and unknown.port in ports and refits.rounding_felt(last.effects) != 0.0
-        )
+        return unknown.course is not None and unknown.port in ports and refits.may_be_rounding(last.effects)
 
     def _is_unjudged(self, claim: Claim) -> bool:
         """True where effects leave more than white noise, and the time was up before fresh data could say what they

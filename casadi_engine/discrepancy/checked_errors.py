@@ -15,6 +15,7 @@ from typing import Any
 from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.wording import ROUNDED
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Estimate, Fit, estimate
 from casadi_engine.parameters import Parameters
@@ -89,13 +90,19 @@ def _null_checked(repair: Repair, noise: Noise | None, options: Mapping[str, Any
 
 
 def with_errors_of_rounding(
-    repair: Repair, felt: float, moved: Mapping[str, float] = MappingProxyType({}), *, ended: bool
+    repair: Repair,
+    felt: float,
+    moved: Mapping[str, float] = MappingProxyType({}),
+    *,
+    ended: bool,
+    all_of_it: bool = True,
 ) -> Repair:
     """The same with errors that count how corners are rounded: larger by what sharper ones may move the estimates;
     none where the search was ended before these were tried, as what they do is foretold from wider ones alone.
 
     felt : chi-squared by which sharper corners may change it, nan where that is not known, 0 where none is felt
     moved : parameter -> what sharper corners may move it by, where that is known
+    all_of_it : what is left may come of rounded corners alone
     """
     if not repair.effects or felt == 0 or (math.isnan(felt) and not ended):
         return repair
@@ -112,13 +119,15 @@ def with_errors_of_rounding(
             found[name] = replace(one, stderr=factor * one.stderr)
     fit = replace(repair.fit, estimates=found)
     effects = tuple(with_errors_of(one, fit) for one in repair.effects)
-    said = (_OF_ROUNDING,) if ended and repair.unknown is not None else ()
-    return replace(repair, fit=fit, effects=effects, messages=(*repair.messages, *said))
+    own = ended and all_of_it
+    said = (_OF_ROUNDING,) if own and repair.unknown is not None else ()
+    options = {**repair.options, ROUNDED: _OF_ROUNDING} if own else repair.options
+    return replace(repair, fit=fit, effects=effects, options=options, messages=(*repair.messages, *said))
 
 
 def is_of_rounding(repair: Repair) -> bool:
-    """True where the search was ended before corners were sharp: what is unexplained may come of that alone."""
-    return any(one.why == _ROUNDED for one in repair.fit.estimates.values())
+    """True where the search was ended before corners were sharp, and all that is unexplained may come of that."""
+    return ROUNDED in repair.options
 
 
 def as_fitted(fit: Fit) -> Parameters:

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_engine.deadline import Deadline, TimeUp, best_wanted, unmetered
+from casadi_engine.deadline import Deadline, TimeUp, best_wanted, late, unmetered, work_left
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.clocks import clock_of
@@ -43,6 +43,8 @@ from casadi_engine.validation.held import parameters_for
 _POOR = 1.1
 # A further start may take so many times the work of those before: one that loses the motion takes ever shorter steps.
 _PATIENCE = 10.0
+# Of the work that is allowed, what one start may take while there is no answer from another one: some lead nowhere.
+_SHARE = 0.5
 # Iterations for first states from which no path led to rest: a model that is far off has none that fit.
 _LOST, _MOST = 20, 60
 # The status of a simulation whose first states had not settled.
@@ -80,40 +82,48 @@ def held_fit(
     }
     method = str(fit.options.get("method", "exact"))
 
-    found, fault = None, None
-    with Deadline(best=best_wanted()) as limit:
+    found: Fit | None = None
+    fault: BaseException | None = None
+    with Deadline(best=best_wanted()) as begun:
         near = first_states_on(model, record, held, levels, in_places=_in_places(fit))
-    starts: list[Start | None] = [near and replace(near, in_places=_in_places(fit))]
-    starts += [] if known is None else [_from_known(fit, model, record, known, near)]
-    starts.append(None)
+    leads = near is not None
     if near is not None and not any(held[name].vary for name in held):
-        with limit, unmetered(), suppress(CasadiEngineError, FloatingPointError):
+        with begun:
             found = _simulated(fit, near, model, record, held, levels)
-            if near.converged and (once or found.cost / found.n <= _chance(found) * _misfit(fit, noise)):
-                return found
-    last, spent = len(starts), limit.done
-    for number in range(1 if found is not None and found.converged else 0, last + 1):
+        enough = found is not None and found.cost / found.n <= _chance(found) * _misfit(fit, noise)
+        if found is not None and near.converged and (once or enough):
+            return found
+        leads = found is not None and not found.converged  # what cannot be simulated leads nowhere
+    starts: list[tuple[Start | None, int]] = []
+    if near is not None and leads:
+        starts.append((replace(near, in_places=_in_places(fit)), _MOST if near.converged else _LOST))
+    if known is not None:
+        starts.append((_from_known(fit, model, record, known, near), _MOST))
+    starts.append((None, _MOST if starts or found is not None else _LOST))
+    last, spent = len(starts), begun.done
+    for number in range(last + 1):
         if number == last:
             if found is None:
                 break
             # a state that no output shows may rest elsewhere: on a side of a play, which short intervals lose
-            starts.append(_unseen_from(fit, found))
-        most = _LOST if number == 0 and (starts[0] is None or not starts[0].converged) else _MOST
-        limit = Deadline(work=math.inf if found is None else _PATIENCE * spent, best=best_wanted())
+            starts.append((_unseen_from(fit, found), _MOST))
+        start, most = starts[number]
+        work = _SHARE * work_left() if found is None else _PATIENCE * spent
+        limit = Deadline(work=work, best=best_wanted())
         try:
             with limit:
                 made = estimate(
-                    model, record, parameters=held, noise=Noise(**levels), method=method, warm=starts[number],
+                    model, record, parameters=held, noise=Noise(**levels), method=method, warm=start,
                     progress=False, max_iterations=most, interval=fit.options.get("interval", "auto"),
                     errors="quadratic",
                 )  # fmt: skip
-        except (CasadiEngineError, FloatingPointError) as error:
-            fault = error
+        except (CasadiEngineError, FloatingPointError, TimeUp) as why:
+            if isinstance(why, TimeUp) and (found is not None or late()):
+                if found is None:
+                    raise
+                break
+            fault = why
             continue
-        except TimeUp:
-            if found is None:
-                raise
-            break
         finally:
             spent += limit.done
         found = made if found is None else _better(found, made)
@@ -155,13 +165,22 @@ def _from_known(
 
 def _simulated(
     fit: Fit, near: Start, model: Model, record: Experiment, held: Parameters, levels: Mapping[str, Any]
-) -> Fit:
-    """The simulation of a record from first states that were found, as a Fit of nothing."""
-    made = estimate(
-        model, record, parameters=held, noise=Noise(**levels), initial=near.initial[record.name], progress=False,
-        method=str(fit.options.get("method", "exact")), warm=replace(near, in_places=_in_places(fit)),
-        errors="quadratic", interval=fit.options.get("interval", "auto"),
-    )  # fmt: skip
+) -> Fit | None:
+    """The simulation of a record from first states that were found, as a Fit of nothing; None where there is none, or
+    none at the cost that is allowed."""
+    try:
+        with Deadline(work=_SHARE * work_left(), best=best_wanted()):
+            made = estimate(
+                model, record, parameters=held, noise=Noise(**levels), initial=near.initial[record.name],
+                method=str(fit.options.get("method", "exact")), warm=replace(near, in_places=_in_places(fit)),
+                errors="quadratic", interval=fit.options.get("interval", "auto"), progress=False,
+            )  # fmt: skip
+    except (CasadiEngineError, FloatingPointError):
+        return None
+    except TimeUp:
+        if late():
+            raise
+        return None
     return made if near.converged else replace(made, status=_UNSETTLED)
 
 

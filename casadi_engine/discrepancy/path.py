@@ -19,10 +19,7 @@ import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, lifted
 from casadi_engine.discrepancy.linear_algebra import Array
-from casadi_engine.discrepancy.null_model import (
-    NullModel,
-    null_at,
-)
+from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.discrepancy.read_late import are_of, leaves_more
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.refit_null import cost_beyond, null_of_refit
@@ -117,9 +114,8 @@ class Path:
         self.felt = math.nan
         # parameter -> by how much such corners may change it, where refits with two widths tell
         self.moved: dict[str, float] = {}
-        self._felt: tuple[Arrived, float, float] | None = (
-            None  # where one simulation told it last, and the share
-        )
+        # where one simulation told it last, and the share
+        self._felt: tuple[Arrived, float, float] | None = None
         # structure and share -> both, where a refit with corners so sharp told them
         self._told: dict[tuple[frozenset[tuple[str, str, bool]], float], tuple[float, dict[str, float]]] = {}
         self._least: dict[int, float] = {}  # the least work that a refit of a structure took
@@ -163,6 +159,11 @@ class Path:
             return found != [refitter.rounded(one) for one in effects]
         finally:
             refitter.share = own
+
+    @property
+    def samples(self) -> int:
+        """How many samples count."""
+        return self._problem(())[2].count
 
     @property
     def linear(self) -> bool:

@@ -54,6 +54,11 @@ _VALLEY, _PLACE = 0.1, 0.1
 _BETTER = 1.0
 # Rivals that are refitted with sharper corners; that are asked where these do not help the best one.
 _RIVALS, _SHARP_RIVALS = 6, 3
+# Times the chi-squared that the best structure leaves from which on another one is not refitted with sharper corners:
+# what wide ones cost is left by both, but for the share that one more number may stand for, here 99 of 100.
+_FAR = 100.0
+# A refit with sharper corners may change chi-squared by so many times what one simulation foretells: 50 were seen.
+_FORETOLD = 50.0
 
 
 def _no_better(one: Arrived, known: Arrived) -> bool:
@@ -387,7 +392,7 @@ class Refits:
         )
         parts = [one for one in self.pool.values() if one.effects and one.key < lead.key]
         for one in (*simpler, *near[:_RIVALS], *parts):
-            if not late():
+            if one.arrived.cost <= _FAR * lead.arrived.cost and not late():
                 self._again_sharp(one)
         self.weigh()
         return True
@@ -491,6 +496,20 @@ class Refits:
         if math.isnan(known) and tried is not None:
             known = self.path.felt_along(tried.effects, tried.arrived)
         return 0.0 if known <= FELT else known
+
+    def may_be_rounding(self, effects: Sequence[Addition]) -> bool:
+        """True where all that these effects leave may come of corners that are rounded: sharper ones are felt, and what
+        one simulation foretells of them is no small share of it."""
+        felt, tried = self.rounding_felt(effects), self.pool.get(key_of(effects))
+        if felt == 0 or math.isnan(felt) or tried is None:
+            return felt != 0
+        count = self.path.samples
+        left = (
+            count
+            * (1 - count / max(tried.arrived.cost, count))
+            / max(self.levels.memory.values(), default=1.0)
+        )
+        return felt >= left / _FORETOLD
 
     def doubt(self, effects: Sequence[Addition]) -> list[str]:
         """That the data feel how the corners of these effects are rounded, where they do."""

@@ -387,7 +387,8 @@ class _Job:
         felt = refits.rounding_felt(search.chosen.effects, ended=bool(left))
         with lifted():  # one simulation at most, by which an answer may have to be less sure
             made = told_as_one_law(made)
-        made = with_errors_of_rounding(made, felt, refits.path.moved, ended=bool(left))
+        rounding = refits.may_be_rounding(search.chosen.effects)
+        made = with_errors_of_rounding(made, felt, refits.path.moved, ended=bool(left), all_of_it=rounding)
         made = with_hint(replace(made, stopped=self._by if left else "", not_searched=left), self.misread)
         with self.deadline.spared(1.0), suppress(TimeUp), Deadline(work=_AGAIN * work):
             made = with_wider_bounds(made, self.parameters, self.noise, options)

@@ -3,13 +3,15 @@ bounds that it rests on, and from first states that are found."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.misread import followed
 from casadi_engine.discrepancy.path import FAILURES
-from casadi_engine.discrepancy.refit import merit
+from casadi_engine.discrepancy.refit import freedom, merit
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.wording import BOUNDS, STARTS, si
 from casadi_engine.estimation import Fit, estimate
@@ -107,6 +109,10 @@ def _wider(fit: Fit, parameters: Parameters) -> tuple[Parameters, dict[str, floa
 def _as_good(found: Fit, repair: Repair) -> bool:
     before, after = merit(repair.null_fit), merit(found)
     if repair.effects:
-        return before - after >= _AS_MUCH * (before - merit(repair.fit))
+        theirs = merit(repair.fit)
+        more = (freedom(repair.fit) - freedom(found)) * math.log(found.n)
+        if repair.confirmed and after - theirs > more + 2 * math.log(FACTOR):
+            return False  # what fresh data confirm is that much more probable
+        return before - after >= _AS_MUCH * (before - theirs)
     then, now = followed(repair.null_fit), followed(found)
     return any((1 - now[name] / 100) <= _HALF * (1 - share / 100) for name, share in then.items())

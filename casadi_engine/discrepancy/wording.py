@@ -28,6 +28,8 @@ AT_FAULT = "the data are at fault"
 # Key of a repair's options under which what may be wrong with its data is kept, where that is no more than a doubt.
 HINT = "hint"
 BOUNDS, STARTS = "bounds in the way", "first states in the way"
+# Its key where all that is unexplained may come of corners that are rounded.
+ROUNDED = "rounded corners"
 # Status of a repair whose gap may be what rounds the corners of the user's own laws.
 # Status of a fit without effects whose share of the time was over before it arrived.
 SHARE_OVER = "not converged: its share of the time budget was over"

@@ -20,12 +20,13 @@ class CrossSensitivity(Effect):
 
     It acts at a cross, ``z_to_sensor_y``, from another output of the model, or from an input, as the temperature of
     the room or a heater that shines on a thermometer. It is right where z is ``right_at``: at the temperature of its
-    calibration, at no load. Of two temperatures it takes a share of their difference, y + coefficient (z - y): heat
-    that comes to a thermometer along its stem.
+    calibration, at no load. Of two temperatures, or two concentrations, it takes a share of their difference,
+    y + coefficient (z - y): heat that comes to a thermometer along its stem, a stream that passes by the vessel and is
+    mixed with what leaves it before the probe.
 
     span : the least and the largest value at which the sensor may be right; None for those that z has in the records,
         0, and a fifth beyond
-    between : True for a share of the difference; None where both are temperatures
+    between : True for a share of the difference; None where both are temperatures or both concentrations
 
     >>> CrossSensitivity().describe("T_oil_to_sensor_torque")
     'a cross-sensitivity of sensor_torque to T_oil'
@@ -53,10 +54,10 @@ class CrossSensitivity(Effect):
         return {"right_at": Grid(*self.span, steps=self._steps, unit="rad", description=words)}
 
     def placed(self, port: Any) -> Effect:
-        """The same of a difference, where both are temperatures."""
+        """The same of a difference, where both are temperatures or both concentrations."""
         if self.between is not None:
             return self
-        return replace(self, between=port.has("difference") and port.is_temperature("input"))
+        return replace(self, between=port.has("difference") and port.is_mixed("input"))
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The same with the values that the other quantity has, and 0, where none were given."""

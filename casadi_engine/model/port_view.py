@@ -17,6 +17,8 @@ from casadi_engine.parameters import near_matches
 
 # Dimensions of what drives a flow: a level, a pressure.
 _HEADS = ("m", read_unit("Pa").dimension)
+# Dimensions of what is between that of two streams where they mix: a temperature, a concentration.
+_MIXED = ("K", *(read_unit(unit).dimension for unit in ("mol/m3", "kg/m3", "1/m3", "mol/kg")))
 # An SX scalar -> its values (N,) along every record.
 Courses = Callable[[Any], Sequence[NDArray[np.float64]]]
 
@@ -89,6 +91,11 @@ class PortView:
         """True if the unit of a signal is one of temperature."""
         unit = self._port.units.get(signal)
         return unit is not None and read_unit(unit).dimension == "K"
+
+    def is_mixed(self, signal: str) -> bool:
+        """True if a signal is a temperature or a concentration: where two streams mix, it lies between theirs."""
+        unit = self._port.units.get(signal, NOT_STATED)
+        return unit != NOT_STATED and read_unit(unit).dimension in _MIXED
 
     def absolute_zero(self, signal: str) -> float:
         """Absolute zero in the unit of a signal that is a temperature: -273.15 in degC; 0 of anything else."""

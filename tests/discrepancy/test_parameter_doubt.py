@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
+from casadi_engine.deadline import Deadline, TimeUp, ask
 from casadi_engine.discrepancy import fresh_fits
 from casadi_engine.discrepancy.fresh import residuals, side
 from casadi_engine.discrepancy.fresh_fits import held_fit
@@ -73,6 +74,36 @@ def test_first_states_of_another_structure_lead_out_of_a_wrong_optimum(fit, monk
     asked.clear()
     assert held_fit(fit, fresh, noise=NOISE, known=first, once=True).cost > 10 * right.cost
     assert len(asked) == 1
+
+
+@pytest.mark.parametrize("outcome", ["fails", "costs too much"])
+def test_first_states_that_cannot_be_simulated_from_are_no_start(fit, monkeypatch, outcome):
+    """They had taken all the work that was allowed, where those of another structure needed next to none."""
+    fresh = record("fresh", lambda t: 4 * np.sin(9 * t), 1)
+    right = held_fit(fit, fresh, noise=NOISE)
+    first = {name: one.value for name, one in right.initial["fresh"].items()}
+    wrong = Start(right.values, {"fresh": {name: value + 30 for name, value in first.items()}}, {}, True)
+    monkeypatch.setattr(fresh_fits, "first_states_on", lambda *_, **__: wrong)
+    asked, real = [], fresh_fits.estimate
+
+    def estimate(*arguments, **options):
+        asked.append(options["warm"])
+        if options["warm"] is not None and options["warm"].initial == wrong.initial:
+            if outcome == "fails":
+                raise EstimationError("no value there")
+            for _ in range(2000):
+                ask(1e4)
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(fresh_fits, "estimate", estimate)
+    with Deadline(work=1e7, best=True) as limit:
+        held = held_fit(fit, fresh, noise=NOISE, known=first)
+    assert held.cost == pytest.approx(right.cost, rel=1e-6)
+    assert asked[1].initial["fresh"] == first
+    assert [start.initial for start in asked[1:] if start is not None].count(wrong.initial) == 0
+    assert limit.done < 1e7
+    with Deadline(work=10.0), pytest.raises(TimeUp):  # nothing is left for another start
+        held_fit(fit, fresh, noise=NOISE)
 
 
 def test_what_no_parameter_explains_is_still_seen(fit):

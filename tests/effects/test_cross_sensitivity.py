@@ -104,6 +104,51 @@ def test_a_thermometer_takes_a_share_of_the_difference_to_another_one():
     assert "cold = b + hot_to_sensor_cold.cross_sensitivity.coefficient*(a - b)" in model.equations()
 
 
+@pytest.mark.parametrize(
+    ("unit", "mixed"),
+    [("mol/m3", True), ("g/L", True), ("1/mL", True), ("degC", True), ("V", False), ("m", False)],
+)
+def test_what_mixes_is_a_temperature_or_a_concentration(unit, mixed):
+    b = ce.Blueprint("vessel")
+    feed, inside = b.input("feed", unit=unit), b.state("c", unit=unit)
+    b.ode("c", (feed - inside) / 10)
+    b.output("out", inside, unit=unit)
+    model = b.model().with_effect(CrossSensitivity(), at="feed_to_sensor_out")
+    assert ("*(feed - c)" in model.equations()) is mixed
+    assert ("right_at" in model.equations()) is not mixed
+
+
+def test_a_repair_names_a_stream_that_passes_by_a_vessel():
+    """It was taken for coloured noise, and nothing was missing: y + s z alone is no mixture."""
+
+    def vessel():
+        b = ce.Blueprint("cell", time_unit="min")
+        volume, loss = b.parameter("V", 30.0, unit="L", min=1), b.parameter("r", 0.5, unit="mol/min", min=0)
+        flow, feed = b.input("q", unit="L/min"), b.input("feed", unit="mol/L")
+        c = b.state("c", unit="mol/L")
+        b.ode("c", (flow * (feed - c) - loss + b.port("cell", "inertia", {"speed": c})) / volume)
+        b.output("out", c, unit="mol/L")
+        return b.model()
+
+    def run(name, seed):
+        rng = np.random.default_rng(seed)
+        t = np.arange(300) * 1.0
+        flow = np.interp(t, np.arange(0, 330, 30), rng.uniform(2, 8, 11))
+        feed = np.interp(t, np.arange(0, 340, 20), rng.uniform(2, 6, 17))
+        c = solve_ivp(
+            lambda s, x: (0.8 * np.interp(s, t, flow) * (np.interp(s, t, feed) - x) - 0.6) / 16,
+            (0, t[-1]), [3.0], t_eval=t, rtol=1e-9, atol=1e-11, max_step=1.0,
+        ).y[0]  # fmt: skip
+        out = 0.8 * c + 0.2 * feed + 0.02 * rng.standard_normal(len(t))
+        units = {"time": "min", "q": "L/min", "feed": "mol/L", "out": "mol/L"}
+        return ce.Experiment.from_arrays(name, time=t, units=units, q=flow, feed=feed, out=out)
+
+    found = ce.repair(vessel(), run("a", 1), fresh=run("b", 2), progress=False)
+    (one,) = found.effects
+    assert (one.key, found.confirmed) == ("feed_to_sensor_out.cross_sensitivity", True)
+    assert one.amplitude.value == pytest.approx(0.2, abs=0.02)
+
+
 def test_two_sensors_of_one_quantity_do_not_feel_one_another():
     b = ce.Blueprint("one")
     x = b.state("x", unit="m")
@@ -126,7 +171,7 @@ def test_where_the_sensor_may_be_right_is_what_the_records_reach_and_zero():
             return signal in port.signals
 
         @staticmethod
-        def is_temperature(signal):
+        def is_mixed(signal):
             return signal == "input"
 
     fitted = CrossSensitivity().fitted(View(), data, {})
