@@ -59,6 +59,8 @@ _WORTH = 2.0
 # Times as long that refits from the parameters' own values may take where nothing leaves noise, and what part of the
 # time that is left.
 _LONGER, _OF_LEFT = 8.0, 0.25
+# Of what one step foretells that an effect leaves, the part below which its refit shows that one step tells nothing.
+_FORETOLD = 0.5
 
 Family = tuple[str, str]
 
@@ -246,6 +248,9 @@ class Additions:
         moved = moving(best.newest(self.here).candidate)
         laws = [k for k in rest if moved and k[1] == port and k not in left and alone.get(k, math.inf) < most]
         laws = [k for k in laws if self._moving(k) == moved]
+        # where a refit left far less than one step had foretold of it, one step tells nothing of its like elsewhere
+        if best.arrived.cost < _FORETOLD * alone.get((effect, port), 0.0):
+            left += [k for k in rest if k[0] == effect and k not in left]
         for key in dict.fromkeys([*late_too, *laws]):
             self.tell(f"refit in its place: {key[0]} at {key[1]}")
             one = chosen_of(self.screened, step, self.families[key])
