@@ -238,7 +238,7 @@ def unknown_of(screened: Screened) -> Unknown | None:
             words = f"the residuals of {first[1]} and {other} in {first[0]} are correlated"
             return Unknown(f"{words}, which the noise of two sensors is not", alarms)
         return Unknown(f"the residual of {first[1]} in {first[0]} is not white", alarms)
-    words = f"{law_words(screened.null.model, family)}{likeness_words(course)}"
+    words = f"{law_words(screened.null.model, family)}{likeness_words(course, clock_of(screened.null.model))}"
     return Unknown(words, alarms, family.port, family.signal, leftover.family_p, course)
 
 
@@ -271,7 +271,7 @@ def in_place_of(last: Station, law: UnknownLaw, *, far: bool = False) -> Unknown
     exclude it. far : it is seen along a simulation that is far from the motion"""
     if law.log < (-1 if last.effects else 1) * math.log(FACTOR) and not law.is_curve:
         return None
-    family, odds = law.course.family, math.exp(min(law.log, _SAID))
+    family, odds, clock = law.course.family, math.exp(min(law.log, _SAID)), clock_of(last.fit.model)
     words = law_words(last.fit.model, family)
     alike = _alike(last.fit.model, family)
     apart = [one for one in law.rivals if one.signal != family.signal or one.port not in alike]
@@ -282,11 +282,11 @@ def in_place_of(last: Station, law: UnknownLaw, *, far: bool = False) -> Unknown
     names = " and ".join(one.name for one in last.effects)
     much = f"{odds:.2g} times" if law.log < _SAID else "far"
     if names and law.is_beside:
-        words += f"{likeness_words(law.course)}{others}, beside {names}"
+        words += f"{likeness_words(law.course, clock)}{others}, beside {names}"
         return Unknown(words, {}, family.port, family.signal, None, law.course)
     if not names:
         rest = "noise of that colour" if last.screened.noise.colour else "noise alone"
-        words += f"{likeness_words(law.course, far=far)}{others}: {much} more probable than {rest}"
+        words += f"{likeness_words(law.course, clock, far=far)}{others}: {much} more probable than {rest}"
         words += f", but by a simulation that is far from the motion: {FAR_OFF}" if far else ""
     elif law.is_curve and odds < 1:
         words += f", in the place of {names}, explains no less: fewer numbers alone speak for these"
@@ -299,7 +299,7 @@ def in_place_of(last: Station, law: UnknownLaw, *, far: bool = False) -> Unknown
             else f", which explains {100 * law.share:.0f} % of what that does"
         )
         words += (
-            f"{likeness_words(law.course)}{others}: {much} more probable than {names}, the nearest of the "
+            f"{likeness_words(law.course, clock)}{others}: {much} more probable than {names}, the nearest of the "
             f"library{near}"
         )
     return Unknown(words, {}, family.port, family.signal, None, law.course, odds)
@@ -363,7 +363,7 @@ def _alike(model: Model, family: Family) -> list[str]:
     return [f"parameter_{name}" for name in same_parameters(model, port)]
 
 
-def likeness_words(course: Course, *, far: bool = False) -> str:
+def likeness_words(course: Course, clock: Clock, *, far: bool = False) -> str:
     """What a course looks like, where it does. far : it is seen along a simulation that is far from the motion"""
     if course.family.order:
         return ""
@@ -372,6 +372,8 @@ def likeness_words(course: Course, *, far: bool = False) -> str:
         way = float(course.mean[-1] - course.mean[0])
         sure = not far and abs(way) > _SURE * math.hypot(course.band[0], course.band[-1])
         return f", and {'rises' if way > 0 else 'falls'} with it" if sure else ""
+    if shape == "periodic" and math.isfinite(course.period) and like > _LIKE:
+        return f" and comes back about every {clock.instant(float(f'{course.period:.2g}'))}"
     # the model has lines of its own
     return f" and looks {shape}" if like > _LIKE and shape != "linear" else ""
 

@@ -34,6 +34,8 @@ _TERMS = 12
 _DIMENSIONS = 6
 _SHARE = 0.999
 _POINTS = 61
+# Whole periods in a record from which a course over time comes back, and frequencies tried for each.
+_PERIODS, _BETWEEN = 2.0, 40
 # Variance of the k-th cosine over that of the first: the course of a Matern process of length half the range.
 _ROUGH = 2.0
 # What comes back so often in a turn of a shaft is looked for.
@@ -312,6 +314,7 @@ class Course:
     Parts that the parameters can take over (a level, a slope) are not determined: mean and band leave them out, and
     the course stands for all that differ by such parts.
     looks_like : shape -> squared correlation with the mean, where the record has been
+    period : of a course over time, that of the wave it is nearest to [s]; nan of any other
     """
 
     family: Family
@@ -320,6 +323,7 @@ class Course:
     band: Array
     level: float
     looks_like: Mapping[str, float]
+    period: float = math.nan
 
 
 def family_course(scores: Scores, family: Family, *, dimensions: int = 2 * _DIMENSIONS) -> Course:
@@ -343,7 +347,7 @@ def family_course(scores: Scores, family: Family, *, dimensions: int = 2 * _DIME
     turned = _basis_at(family, points) * np.sqrt(family.variances) @ turn.T
     shrunk = level**2 / (1 + level**2 * energy)
     mean, band = turned @ (shrunk * slope), np.sqrt((turned**2 * shrunk).sum(axis=1))
-    return Course(family, points, mean, band, level, _likeness(family, points, mean))
+    return _course(family, points, mean, band, level)
 
 
 def course_of(family: Family, coefficients: Array, root: Array) -> Course:
@@ -355,7 +359,32 @@ def course_of(family: Family, coefficients: Array, root: Array) -> Course:
     basis = _basis_at(family, points)
     mean, band = basis @ coefficients, np.linalg.norm(basis @ root, axis=1)
     level = float(np.sqrt(np.mean(mean**2)))
-    return Course(family, points, mean, band, level, _likeness(family, points, mean))
+    return _course(family, points, mean, band, level)
+
+
+def _course(family: Family, points: Array, mean: Array, band: Array, level: float) -> Course:
+    """A course with what it looks like."""
+    alike, period = _likeness(family, points, mean), math.nan
+    if family.signal == TIME:
+        alike["periodic"], period = _wave(points, mean)
+        alike = dict(sorted(alike.items(), key=lambda pair: -pair[1]))
+    return Course(family, points, mean, band, level, alike, period)
+
+
+def _wave(points: Array, mean: Array) -> tuple[float, float]:
+    """The share of a course (K,) over time that one wave explains, of two periods or more, and its period."""
+    length = points[-1] - points[0]
+    most = len(points) / 8
+    cycles = np.linspace(_PERIODS, most, int(_BETWEEN * (most - _PERIODS)))
+    turns = 2 * math.pi * cycles[:, None, None] * ((points - points[0]) / length)[:, None]
+    own = mean - mean.mean()
+    whole = float(own @ own)
+    if not whole > 0:
+        return 0.0, math.nan
+    frame = np.linalg.qr(np.concatenate([np.ones_like(turns), np.cos(turns), np.sin(turns)], axis=2))[0]
+    taken = ((frame.transpose(0, 2, 1) @ own) ** 2).sum(axis=1) / whole
+    best = int(np.argmax(taken))
+    return float(taken[best]), float(length / cycles[best])
 
 
 def _points(family: Family) -> Array:

@@ -6,6 +6,8 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import random_families
+from casadi_engine.discrepancy.certificate import likeness_words
+from casadi_engine.discrepancy.clocks import Clock
 from casadi_engine.discrepancy.compression import compress
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_distribution import NullDistribution
@@ -159,3 +161,37 @@ def test_a_function_that_does_not_end_level_is_followed_to_its_ends(terms):
     assert (family.variances[-2], family.variances[-1]) == (family.variances[1], family.variances[2])
     course = course_of(family, np.eye(terms)[-2], np.zeros((terms, 0)))
     np.testing.assert_allclose(course.mean, np.linspace(-1, 1, len(course.mean)), atol=1e-12)
+
+
+@pytest.mark.parametrize("periods", [2.3, 2.8, 3.3])
+def test_a_course_over_time_that_comes_back_has_a_period(shaft, periods):
+    """A load of 2 N m that swings: it was a function of time, and of its period nothing was said."""
+    time, own = [0.0], 900 * 4e-3 / periods
+
+    def hidden(t, x):
+        time[0] += 4e-4
+        return np.array([0.0, 2.0 * np.sin(2 * np.pi * time[0] / own + 1)])
+
+    made, families = scored(shaft, shaft.data(hidden=hidden, n=900, seed=3))
+    course = family_course(made, next(f for f in families if f.name == "a function of time at load"))
+    assert next(iter(course.looks_like)) == "periodic"
+    assert course.period == pytest.approx(own, rel=0.07)
+    told = float(f"{course.period:.2g}")
+    assert likeness_words(course, Clock()) == f" and comes back about every {told:.4g} s"
+    assert likeness_words(course, Clock("min")) == f" and comes back about every {told / 60:.4g} min"
+
+
+@pytest.mark.parametrize("shape", [lambda t: t**2, lambda t: 1.0 * (t > 0.4), lambda t: 0 * t])
+def test_what_comes_once_has_no_period(shape):
+    time = np.linspace(0.0, 1.0, 400)
+    family = smooth_family("load", "time", time)
+    points = np.linspace(0, 1, 61)
+    course = random_families._course(family, points, shape(points), np.ones(61), 1.0)
+    assert "comes back" not in likeness_words(course, Clock())
+    assert course.looks_like["periodic"] < 0.5
+
+
+def test_other_signals_have_no_period(shaft):
+    made, families = scored(shaft, shaft.data(n=400))
+    course = family_course(made, next(f for f in families if f.name == "a function of twist at coupling"))
+    assert np.isnan(course.period)
