@@ -373,7 +373,7 @@ def likeness_words(course: Course, clock: Clock, *, far: bool = False) -> str:
         sure = not far and abs(way) > _SURE * math.hypot(course.band[0], course.band[-1])
         return f", and {'rises' if way > 0 else 'falls'} with it" if sure else ""
     if shape == "periodic" and math.isfinite(course.period) and like > _LIKE:
-        return f" and comes back about every {clock.instant(float(f'{course.period:.2g}'))}"
+        return f" and comes back about every {clock.about(course.period)}"
     # the model has lines of its own
     return f" and looks {shape}" if like > _LIKE and shape != "linear" else ""
 

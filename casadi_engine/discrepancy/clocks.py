@@ -66,8 +66,15 @@ class Clock:
         >>> Clock("h").period(3.5e-5), Clock().period(0.05), Clock().period(12.0)
         (', once in about 7.9 h', ', once in about 20 s', '')
         """
-        seconds = seconds_in(self.unit) * float(f"{self.of(1 / hertz):.2g}")  # a record is some periods long
-        return "" if hertz * _SLOW > 1 else f", once in about {self.instant(seconds)}"
+        return "" if hertz * _SLOW > 1 else f", once in about {self.about(1 / hertz)}"
+
+    def about(self, seconds: float) -> str:
+        """A time of which a record that is some periods long tells two digits.
+
+        >>> Clock("h").about(86_234.0), Clock().about(86_234.0), Clock().about(0.0123)
+        ('24 h', '86000 s (23.89 h)', '0.012 s')
+        """
+        return self.instant(seconds_in(self.unit) * float(f"{self.of(seconds):.2g}"))
 
     def told(self, one: Estimate, *, always: bool = True) -> tuple[Estimate, str]:
         """An estimate in s in this unit, and what more to say of it: long times in s are said in hours too.

@@ -176,9 +176,9 @@ def test_a_course_over_time_that_comes_back_has_a_period(shaft, periods):
     course = family_course(made, next(f for f in families if f.name == "a function of time at load"))
     assert next(iter(course.looks_like)) == "periodic"
     assert course.period == pytest.approx(own, rel=0.07)
-    told = float(f"{course.period:.2g}")
-    assert likeness_words(course, Clock()) == f" and comes back about every {told:.4g} s"
-    assert likeness_words(course, Clock("min")) == f" and comes back about every {told / 60:.4g} min"
+    for clock, unit in ((Clock(), 1.0), (Clock("min"), 60.0)):
+        told = f"{course.period / unit:.2g} {clock.unit}"
+        assert likeness_words(course, clock) == f" and comes back about every {told}"
 
 
 @pytest.mark.parametrize("shape", [lambda t: t**2, lambda t: 1.0 * (t > 0.4), lambda t: 0 * t])
