@@ -17,6 +17,7 @@ from functools import partial
 
 from casadi_engine.deadline import Deadline, TimeUp, ask, ending_before, late
 from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions
+from casadi_engine.discrepancy.arrived import Arrived
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.beside_rivals import beside_rivals
 from casadi_engine.discrepancy.exchange import (
@@ -34,7 +35,6 @@ from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.membership import simpler
 from casadi_engine.discrepancy.pairs import price_of, together, tried_in_two, with_one_more
-from casadi_engine.discrepancy.path import Arrived
 from casadi_engine.discrepancy.refit import Refitter, vanished
 from casadi_engine.discrepancy.refits import FACTOR, Refits
 from casadi_engine.discrepancy.repaired import Round

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from casadi_engine.discrepancy.arrived import Arrived
 from casadi_engine.discrepancy.event_times import in_each_record, located
 from casadi_engine.discrepancy.families import chosen_of, costs_of
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
-from casadi_engine.discrepancy.path import Arrived
 from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.refits import FACTOR, PART, Refits
 from casadi_engine.discrepancy.screening import Screened

@@ -11,24 +11,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, lifted
+from casadi_engine.discrepancy.arrived import Arrived, arrived_at
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.discrepancy.read_late import are_of, leaves_more
 from casadi_engine.discrepancy.refit import Addition, Refitter
-from casadi_engine.discrepancy.refit_null import cost_beyond, null_of_refit
+from casadi_engine.discrepancy.refit_null import null_of_refit
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.corner_widths import FACTOR as SHARPER_BY
 from casadi_engine.estimation.corner_widths import FELT
 from casadi_engine.estimation.refit_answer import Windowed
-from casadi_engine.estimation.refit_entry import Refit, RefitProblem
+from casadi_engine.estimation.refit_entry import RefitProblem
 from casadi_engine.estimation.refit_problem import EXACT
 from casadi_engine.model import Model
 from casadi_engine.model.lags import delays, is_late, lagged, nearest_lags
@@ -39,7 +40,6 @@ from casadi_engine.simulation.propagator import bends_between_samples, switches_
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
-_AT_BOUND = 1e-8
 # Standard errors by which the search for an optimum may end off it where structures are compared, a hundredth of
 # chi-squared; twice as much by the integration, which moves the log of the odds of two structures by a few tenths.
 FELT_ERRORS = 0.1
@@ -59,31 +59,9 @@ _PATIENCE = 5.0
 # Times that the samples of late sensors are read anew, as a delay turns out; chi-squared by which a delay of whole
 # samples has to leave less than where a refit ended.
 _LATER, _LESS = 6, 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Arrived:
-    """Where a refit ended: values and first states, as ``estimate(warm=...)`` reads them.
-
-    cost : chi-squared with priors at the levels of the path, simulated from the first states
-    settled : it is an optimum; held : parameters at a bound
-    refit, levels : the refit, and the levels of the noise (output -> sigma) by which its residuals were weighted
-    lags : output -> seconds by which the samples of late sensors were read earlier
-    """
-
-    values: Mapping[str, float]
-    initial: Mapping[str, Mapping[str, float]]
-    cost: float
-    settled: bool
-    held: frozenset[str]
-    refit: Refit = field(repr=False)
-    levels: Mapping[str, float]
-    lags: Mapping[str, float] = field(default_factory=dict)
-
-    def rests(self, name: str) -> bool:
-        """True if a parameter, in every record where it has a value in each, is at a bound."""
-        own = [one for one in self.values if one.partition("@")[0] == name]
-        return bool(own) and self.held.issuperset(own)
+# Chi-squared, in units of what a sample leaves, by which a refit with sharper corners has to be worse for the law to be
+# no sharper: two standard errors.
+_REFUSED = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +156,7 @@ class Path:
         with Deadline() as own:
             found = problem.run(start=values, initial=initial, horizons=(None,), most=STEPS)
         self._done(_AHEAD * STEPS * own.done / max(found.steps, 1), first=True)
-        return _arrived(problem, found, self.levels)
+        return arrived_at(problem, found, self.levels)
 
     def cost_without(self, effects: Sequence[Addition], arrived: Arrived, amplitude: str) -> float:
         """Chi-squared where a refit arrived, an amplitude put to zero and all else as it is; inf where that fails."""
@@ -292,14 +270,8 @@ class Path:
             model, pars, wide = self._problem(effects, arrived.lags)
             if not any(bends_between_samples(record.model) for record in wide.records):
                 return True
-            other = RefitProblem(
-                model,
-                refitter.data,
-                pars,
-                levels=self.levels,
-                interval=refitter.interval,
-                felt=self.felt_errors,
-            )
+            how = {"levels": self.levels, "interval": refitter.interval, "felt": self.felt_errors}
+            other = RefitProblem(model, refitter.data, pars, **how)
             if not other.step_in_places(anyway=True):
                 return True
             costs = [_cost_along(one, arrived.values, states) for one in (wide, other)]
@@ -318,7 +290,7 @@ class Path:
         self, effects: Sequence[Addition], arrived: Arrived, target: float, worth: float
     ) -> tuple[float, Arrived] | None:
         """The sharpest corners, down to a share, with which a refit settles or is better, and where it arrived; no
-        sharper than chi-squared of the refits feels. None where there are none."""
+        sharper than chi-squared of the refits feels, or than the law itself is. None where there are none."""
         refitter, before = self.refitter, self.refitter.share
         _, _, own = self._problem(effects, arrived.lags)
         felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
@@ -331,11 +303,17 @@ class Path:
                 there = self._ended(effects, last, patience=_PATIENCE)
                 if there is None or (not there.settled and there.cost > last.cost):
                     break
+                if reached is not None and there.cost > last.cost + _REFUSED * felt / FELT:
+                    self.felt, self.moved = 0.0, {}
+                    return self._between(effects, *reached)
                 self.felt = FELT * abs(there.cost - last.cost) / (SHARPER_BY - 1) / felt
-                self.moved = {
-                    name: abs(one - last.values[name]) / (SHARPER_BY - 1)
+                both = {
+                    name: (one, last.values[name])
                     for name, one in there.values.items()
                     if name in last.values
+                }
+                self.moved = {
+                    name: abs(one - other) / (SHARPER_BY - 1) for name, (one, other) in both.items()
                 }
                 self._told[form_of(effects), share] = self.felt, self.moved
                 reached, last = (share, there), there
@@ -345,13 +323,22 @@ class Path:
             refitter.share = before
         return reached
 
+    def _between(self, effects: Sequence[Addition], share: float, there: Arrived) -> tuple[float, Arrived]:
+        """The best of a share that is better than its neighbours, and of those half way to them."""
+        best = share, there
+        for own in (share / 2, share * 2):
+            self.refitter.share = own
+            found = self._ended(effects, there, patience=_PATIENCE)
+            if found is not None and found.settled and found.cost < best[1].cost:
+                best = own, found
+        return best
+
     def sharper(self, effects: Sequence[Addition], arrived: Arrived, before: float) -> Arrived | None:
         """A refit with corners as sharp as they are now, from where it arrived with those before, in steps."""
         refitter, own, found = self.refitter, self.refitter.share, arrived
         try:
-            for share in self.shares(before)[1:]:
-                if share < 0.99 * own:
-                    break
+            steps = [share for share in self.shares(before)[1:] if share > 1.01 * own]
+            for share in (*steps, own):
                 refitter.share = share
                 there = self._ended(effects, found, patience=_PATIENCE)
                 if there is None:
@@ -538,7 +525,7 @@ class Path:
         if found.converged:  # what wanders is no measure of what refits cost
             self._done(own.done)
             self._least[id(problem)] = min(own.done, self._least.get(id(problem), math.inf))
-        return _arrived(problem, found, self.levels, lags)
+        return arrived_at(problem, found, self.levels, lags)
 
     def allowed(self, problem: RefitProblem) -> float:
         """Work that a refit may cost: some of what they cost in the middle, less if one of this structure arrived."""
@@ -620,30 +607,3 @@ def _cost_along(problem: RefitProblem, values: Mapping[str, float], states: Sequ
 
 def _in_order(times: Mapping[str, Mapping[str, float]]) -> tuple[Any, ...]:
     return tuple((name, record, time) for name, own in times.items() for record, time in own.items())
-
-
-def _arrived(
-    problem: RefitProblem,
-    found: Refit,
-    levels: Mapping[str, float],
-    lags: Mapping[str, float] = MappingProxyType({}),
-) -> Arrived | None:
-    if not found.initial or not np.isfinite(found.cost):
-        return None
-    pmap = problem.pmap
-    held = set()
-    for name, low, high in zip(pmap.free, pmap.lower, pmap.upper, strict=True):
-        value = found.values[name]
-        near = _AT_BOUND * max(abs(value), 1e-12)
-        if value - low <= near or high - value <= near:
-            held.add(name)
-    return Arrived(
-        found.values,
-        found.initial,
-        found.cost + cost_beyond(problem, found),
-        found.converged,
-        frozenset(held),
-        found,
-        dict(levels),
-        dict(lags),
-    )

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.deadline import ask, late
+from casadi_engine.discrepancy.arrived import Arrived
 from casadi_engine.discrepancy.cancelling import work_against_each_other
 from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.evidence import (
@@ -33,7 +34,7 @@ from casadi_engine.discrepancy.linearised import OneStep
 from casadi_engine.discrepancy.noise_choice import scatter_of
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.path import FAILURES, Arrived, Path, form_of
+from casadi_engine.discrepancy.path import FAILURES, Path, form_of
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.refit import Addition, Refitter, numbers, parts_of
 from casadi_engine.discrepancy.start import Start

@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+from casadi_engine.discrepancy.arrived import Arrived
 from casadi_engine.discrepancy.evidence import FACTOR, Digest, Evidence, Levels, evidence
 from casadi_engine.discrepancy.gradual import Gradual
 from casadi_engine.discrepancy.late_samples import Samples
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.path import Arrived, form_of
+from casadi_engine.discrepancy.path import form_of
 from casadi_engine.discrepancy.refit import Addition
 
 # Standard errors, all else known, from which an amplitude is there at all, however much a refit with it gained.
