@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -24,6 +25,7 @@ from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.discrepancy.read_late import are_of, leaves_more
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.refit_null import null_of_refit
+from casadi_engine.discrepancy.rounded_law import best_width, moved_by_width
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.corner_widths import FACTOR as SHARPER_BY
@@ -101,6 +103,8 @@ class Path:
         self._ways: dict[tuple[Any, ...], list[tuple[Windowed, Arrived]]] = {}
         # structure -> least chi-squared over windows, at these levels
         self.bounds: dict[frozenset[tuple[str, str, bool]], float] = {}
+        # structures whose law is rounded itself: sharper corners leave more
+        self.rounded: set[frozenset[tuple[str, str, bool]]] = set()
         # share of the corners' widths -> work of the refits so far, that which is expected of the first one first
         self._work: dict[float, list[float]] = {}
 
@@ -303,9 +307,11 @@ class Path:
                 there = self._ended(effects, last, patience=_PATIENCE)
                 if there is None or (not there.settled and there.cost > last.cost):
                     break
-                if reached is not None and there.cost > last.cost + _REFUSED * felt / FELT:
+                unit = felt / FELT
+                if reached is not None and there.cost > last.cost + _REFUSED * unit:
                     self.felt, self.moved = 0.0, {}
-                    return self._between(effects, *reached)
+                    self.rounded.add(form_of(effects))
+                    return best_width(partial(self._at_share, effects), *reached, unit, before)
                 self.felt = FELT * abs(there.cost - last.cost) / (SHARPER_BY - 1) / felt
                 both = {
                     name: (one, last.values[name])
@@ -323,15 +329,21 @@ class Path:
             refitter.share = before
         return reached
 
-    def _between(self, effects: Sequence[Addition], share: float, there: Arrived) -> tuple[float, Arrived]:
-        """The best of a share that is better than its neighbours, and of those half way to them."""
-        best = share, there
-        for own in (share / 2, share * 2):
-            self.refitter.share = own
-            found = self._ended(effects, there, patience=_PATIENCE)
-            if found is not None and found.settled and found.cost < best[1].cost:
-                best = own, found
-        return best
+    def moved_by_width(self, effects: Sequence[Addition], arrived: Arrived, worth: float) -> dict[str, float]:
+        """Parameter -> what it moves by with a width that is off by its standard error, where the law of a structure is
+        rounded itself; {} of any other."""
+        if form_of(effects) not in self.rounded:
+            return {}
+        unit = max(arrived.cost / max(self.samples, 1), 1.0) / worth
+        return moved_by_width(partial(self._at_share, effects), self.refitter.share, arrived, unit)
+
+    def _at_share(self, effects: Sequence[Addition], share: float, start: Arrived) -> Arrived | None:
+        """The end of a refit with corners of another share of the motion's widths."""
+        before, self.refitter.share = self.refitter.share, share
+        try:
+            return self._ended(effects, start, patience=_PATIENCE)
+        finally:
+            self.refitter.share = before
 
     def sharper(self, effects: Sequence[Addition], arrived: Arrived, before: float) -> Arrived | None:
         """A refit with corners as sharp as they are now, from where it arrived with those before, in steps."""

@@ -490,6 +490,8 @@ class Refits:
     def rounding_felt(self, effects: Sequence[Addition], *, ended: bool = False) -> float:
         """Chi-squared by which sharper corners of these effects may change it, nan where that is not known; 0 where the
         data do not feel it. ended : before all was done, so that what is known may be of another structure"""
+        if form_of(effects) in self.path.rounded:
+            return 0.0
         if (self.path.felt <= FELT and not ended) or not any(self.path.cornered([one]) for one in effects):
             return 0.0
         tried = self.pool.get(key_of(effects))
@@ -497,6 +499,13 @@ class Refits:
         if math.isnan(known) and tried is not None:
             known = self.path.felt_along(tried.effects, tried.arrived)
         return 0.0 if known <= FELT else known
+
+    def moved_by_width(self, effects: Sequence[Addition]) -> dict[str, float]:
+        """Parameter -> what it moves by with the width of a law that is rounded itself, as far as data tell that."""
+        tried, worth = self.pool.get(key_of(effects)), 1.0 / max(self.levels.memory.values(), default=1.0)
+        return (
+            {} if tried is None else self.path.moved_by_width(tried.effects, tried.arrived, max(worth, 1e-6))
+        )
 
     def may_be_rounding(self, effects: Sequence[Addition]) -> bool:
         """True where all that these effects leave may come of corners that are rounded: sharper ones are felt, and what

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from casadi_engine.effects.corners import narrow
 from casadi_engine.errors import CasadiEngineError, EstimationError
 from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.lower_optimum import merit
 from casadi_engine.estimation.refit_answer import Refit
 from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.model import Model
@@ -43,6 +44,9 @@ FACTOR, SHARPER, FELT = 4.0, 4, 0.25
 WIDER = 4
 # How the message begins that says so.
 ROUNDED = "the data feel how corners are rounded"
+# Of -2 log likelihood, what a law that is rounded itself has to leave less than a sharp one for its one more number:
+# three standard errors.
+_PREFERRED = 9.0
 # The least factor that is worth a fit of its own.
 _WORTH = 1.4
 # Steps of the integrator over all records that a sharper corner may cost.
@@ -123,14 +127,48 @@ def _followed(
             break
         finer = _sharper(found, first)
         if finer == first:
-            return found.fit
+            return _as_rounded(found, parameters, again) or found.fit
         if finer is None:
             break
         sharper = _refitted(found, parameters, finer, again)
         if sharper is None:
             break
         found, first = sharper, finer
-    return _told(found, first) if found is not None else _told(begun, wide)
+    if found is None:
+        return _told(begun, wide)
+    return _as_rounded(found, parameters, again) or _told(found, first)
+
+
+def _as_rounded(
+    sharp: Motion, parameters: Parameters, again: Callable[[Parameters, Fit, Any], Fit]
+) -> Fit | None:
+    """The fit with corners as wide as the law itself is rounded, where the data prefer such to sharp ones: their widths
+    are estimated then. None where they do not. Simulations with wider ones tell whether and where to begin."""
+
+    def times(factor: float) -> dict[str, float]:
+        return {name: float(f"{factor * width:.2g}") for name, width in sharp.widths.items()}
+
+    costs = {
+        factor: sharp.cost(times(factor)) for factor in (1.0, *(FACTOR**k for k in range(1, SHARPER + 1)))
+    }
+    factor = min(costs, key=costs.__getitem__)
+    begun = _refitted(sharp, parameters, times(factor), again) if costs[factor] < costs[1.0] - FELT else None
+    if begun is None:
+        return None
+    pars = with_widths(parameters, begun.widths)
+    for name, width in begun.widths.items():
+        pars[name].set(width, min=sharp.widths[name], vary=True)
+    try:
+        fit = again(pars, begun.fit, max(2, max(begun.samples) // _INTERVALS))
+    except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+        return None
+    if not fit.converged or merit(fit) > merit(sharp.fit) - _PREFERRED:
+        return None
+    names = " and ".join(begun.widths)
+    words = (
+        f"the data ask for rounded corners: {names} is estimated, as sharp ones leave more than chance makes"
+    )
+    return replace(fit, messages=(words, *fit.messages))
 
 
 class Motion:
