@@ -101,13 +101,11 @@ def with_errors_of_rounding(
     none where the search was ended before these were tried, as what they do is foretold from wider ones alone.
 
     felt : chi-squared by which sharper corners may change it, nan where that is not known, 0 where none is felt
-    moved : parameter -> what sharper corners may move it by, where that is known, or those of a law that is rounded
-    itself, whose width is known as far as data tell it
+    moved : parameter -> what sharper corners may move it by, where that is known
     all_of_it : what is left may come of rounded corners alone
     """
-    if not repair.effects or (felt == 0 and not moved) or (math.isnan(felt) and not ended):
+    if not repair.effects or felt == 0 or (math.isnan(felt) and not ended):
         return repair
-    ended = ended and felt != 0  # a law that is rounded itself has a width of its own
     found = {}
     for name, one in repair.fit.estimates.items():
         error = one.stderr or one.quadratic

@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -25,7 +24,6 @@ from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.discrepancy.read_late import are_of, leaves_more
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.refit_null import null_of_refit
-from casadi_engine.discrepancy.rounded_law import best_width, moved_by_width
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.corner_widths import FACTOR as SHARPER_BY
@@ -41,6 +39,8 @@ from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
 from casadi_engine.simulation.propagator import bends_between_samples, switches_with_states
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
+# What is refitted of a structure.
+Form = frozenset[tuple[str, str, bool, bool]]
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 # Standard errors by which the search for an optimum may end off it where structures are compared, a hundredth of
 # chi-squared; twice as much by the integration, which moves the log of the odds of two structures by a few tenths.
@@ -97,14 +97,14 @@ class Path:
         # where one simulation told it last, and the share
         self._felt: tuple[Arrived, float, float] | None = None
         # structure and share -> both, where a refit with corners so sharp told them
-        self._told: dict[tuple[frozenset[tuple[str, str, bool]], float], tuple[float, dict[str, float]]] = {}
+        self._told: dict[tuple[Form, float], tuple[float, dict[str, float]]] = {}
         self._least: dict[int, float] = {}  # the least work that a refit of a structure took
         # structure, share and lags -> where searches over windows of it came by, and ended
         self._ways: dict[tuple[Any, ...], list[tuple[Windowed, Arrived]]] = {}
         # structure -> least chi-squared over windows, at these levels
-        self.bounds: dict[frozenset[tuple[str, str, bool]], float] = {}
-        # structures whose law is rounded itself: sharper corners leave more
-        self.rounded: set[frozenset[tuple[str, str, bool]]] = set()
+        self.bounds: dict[Form, float] = {}
+        # where, on the way to the last corners, a refit left least, and their share: None where that is their end
+        self.turned: tuple[float, Arrived] | None = None
         # share of the corners' widths -> work of the refits so far, that which is expected of the first one first
         self._work: dict[float, list[float]] = {}
 
@@ -298,7 +298,7 @@ class Path:
         refitter, before = self.refitter, self.refitter.share
         _, _, own = self._problem(effects, arrived.lags)
         felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
-        reached, last = None, arrived
+        reached, last, self.turned = None, arrived, None
         try:
             for share in self.shares(before)[1:]:
                 if share < 0.99 * target:
@@ -307,11 +307,10 @@ class Path:
                 there = self._ended(effects, last, patience=_PATIENCE)
                 if there is None or (not there.settled and there.cost > last.cost):
                     break
-                unit = felt / FELT
-                if reached is not None and there.cost > last.cost + _REFUSED * unit:
+                if there.cost > last.cost + _REFUSED * felt / FELT:
                     self.felt, self.moved = 0.0, {}
-                    self.rounded.add(form_of(effects))
-                    return best_width(partial(self._at_share, effects), *reached, unit, before)
+                    self.turned = reached or (before, arrived)
+                    break
                 self.felt = FELT * abs(there.cost - last.cost) / (SHARPER_BY - 1) / felt
                 both = {
                     name: (one, last.values[name])
@@ -329,25 +328,10 @@ class Path:
             refitter.share = before
         return reached
 
-    def moved_by_width(self, effects: Sequence[Addition], arrived: Arrived, worth: float) -> dict[str, float]:
-        """Parameter -> what it moves by with a width that is off by its standard error, where the law of a structure is
-        rounded itself; {} of any other."""
-        if form_of(effects) not in self.rounded:
-            return {}
-        unit = max(arrived.cost / max(self.samples, 1), 1.0) / worth
-        return moved_by_width(partial(self._at_share, effects), self.refitter.share, arrived, unit)
-
-    def _at_share(self, effects: Sequence[Addition], share: float, start: Arrived) -> Arrived | None:
-        """The end of a refit with corners of another share of the motion's widths."""
-        before, self.refitter.share = self.refitter.share, share
-        try:
-            return self._ended(effects, start, patience=_PATIENCE)
-        finally:
-            self.refitter.share = before
-
     def sharper(self, effects: Sequence[Addition], arrived: Arrived, before: float) -> Arrived | None:
         """A refit with corners as sharp as they are now, from where it arrived with those before, in steps."""
         refitter, own, found = self.refitter, self.refitter.share, arrived
+        least = before, arrived
         try:
             steps = [share for share in self.shares(before)[1:] if share > 1.01 * own]
             for share in (*steps, own):
@@ -356,6 +340,9 @@ class Path:
                 if there is None:
                     return None
                 found = there
+                least = (share, there) if there.cost < least[1].cost else least
+            unit = max(least[1].cost / max(self.samples, 1), 1.0)
+            self.turned = least if found.cost > least[1].cost + _REFUSED * unit else None
         finally:
             refitter.share = own
         return found
@@ -565,7 +552,7 @@ class Path:
     def _problem(
         self, effects: Sequence[Addition], lags: Mapping[str, float] = MappingProxyType({})
     ) -> tuple[Model, Parameters, RefitProblem]:
-        own = tuple((id(one.candidate), one.shared, _in_order(one.times)) for one in effects)
+        own = tuple((id(one.candidate), one.shared, one.width, _in_order(one.times)) for one in effects)
         key = (self.refitter.share, tuple(lags.items()), *own)
         if key not in self._made:
             self._kept += effects  # alive, so that no other candidate takes its identity
@@ -582,9 +569,9 @@ class Path:
         return self._made[key]
 
 
-def form_of(effects: Sequence[Addition]) -> frozenset[tuple[str, str, bool]]:
-    """Effects and ports, and which events have one amplitude for all records."""
-    return frozenset((*one.candidate.key, one.shared) for one in effects)
+def form_of(effects: Sequence[Addition]) -> Form:
+    """Effects and ports, which events have one amplitude for all records, and which laws are rounded themselves."""
+    return frozenset((*one.candidate.key, one.shared, one.width is not None) for one in effects)
 
 
 def _begun(

@@ -44,6 +44,8 @@ _ITERATIONS, _FEWER, _GLANCE = 60, 30, 10
 _FURTHER = 4
 # Share of where its search started at which an amplitude is none.
 _GONE = 1e-6
+# Times by which the width of a law that is rounded itself may be smaller, or larger, than where its search starts.
+_ROUNDED = 64.0
 # Intervals into which a record is cut for laws with sharp corners.
 _INTERVALS = 400
 
@@ -61,7 +63,8 @@ class Addition:
     whole numbers (the cycles of a misfire) it is the best one.
 
     times : of an event in several records, nuisance name -> record -> where its search starts, inf where the event does
-        not happen; shared : it has one amplitude in all of them
+        not happen; shared : it has one amplitude in all of them; width : of a law whose corners are rounded
+        themselves, by a number that is estimated, where its search starts; None where they are as sharp as data feel
     """
 
     candidate: Candidate
@@ -69,6 +72,7 @@ class Addition:
     choices: int = 1
     times: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     shared: bool = True
+    width: float | None = None
 
     @property
     def label(self) -> str:
@@ -347,7 +351,7 @@ class Refitter:
     def rounded(self, one: Addition) -> Any:
         """An addition's effect with its corners as sharp as the motion without it passes them, times the share."""
         key = one.label, self.share
-        if self.base is None:
+        if self.base is None or one.width is not None:
             return one.candidate.source.effect
         if key not in self._narrow:
             self._narrow[key] = _narrowed(one, self.base, self._paths(), self.share)
@@ -396,6 +400,9 @@ class Refitter:
         pars = self.parameters.copy().extended(model)
         spans = {record.name: record.span for record in self.data}
         for one in effects:
+            if one.width is not None:
+                wide = pars[f"{one.key}.width"]
+                wide.set(one.width, min=one.width / _ROUNDED, max=one.width * _ROUNDED, vary=True)
             for name, grid in one.candidate.source.effect.nuisance.items():
                 if grid.over != "time" or grid.whole:
                     continue
@@ -495,8 +502,10 @@ def freedom(fit: Fit) -> int:
 
 
 def numbers(effects: Sequence[Addition]) -> int:
-    """How many numbers effects bring: amplitudes, and the nuisance parameters that are estimated."""
-    return sum(1 + sum(not grid.whole for grid in one.nuisance.values()) for one in effects)
+    """How many numbers effects bring: amplitudes, nuisance parameters that are estimated, and widths that are."""
+    return sum(
+        1 + (one.width is not None) + sum(not grid.whole for grid in one.nuisance.values()) for one in effects
+    )
 
 
 def vanished(effects: Sequence[Addition], fit: Fit) -> bool:

@@ -95,6 +95,8 @@ class Refits:
         # shares and pools before corners were sharpened, the last at the end
         self._wide: list[tuple[float, dict[Key, Tried]]] = []
         self._blunt = False
+        # structures of which sharper corners left more, and the share and the end of the refit that left least
+        self._turned: dict[Key, tuple[Tried, tuple[float, Arrived]]] = {}
         self.blur = 0.0  # chi-squared that corners as sharp as they are may be off by, as far as it is known
         self.rounded: dict[str, float] = {}  # see ``rounding``
         self.improved: set[Key] = (
@@ -376,7 +378,7 @@ class Refits:
         if found is None:
             lead, found = self._sharp_rival(best)
         if found is None:
-            return False
+            return self._as_rounded()
         self._wide.append((self.refitter.share, dict(self.pool)))
         self.refitter.share = found[0]
         sharp = self._counted(lead.effects, found[1])
@@ -395,8 +397,34 @@ class Refits:
         for one in (*simpler, *near[:_RIVALS], *parts):
             if one.arrived.cost <= _FAR * lead.arrived.cost and not late():
                 self._again_sharp(one)
+        self._as_rounded()
         self.weigh()
         return True
+
+    def _as_rounded(self) -> bool:
+        """Refit those of which sharper corners left more with the widths of their corners estimated: such a law is
+        rounded itself, as contacts are that give way before they slide. True if one is more probable so."""
+        changed = False
+        for one, (share, start) in self._turned.values():
+            if late():
+                break
+            before, self.refitter.share = self.refitter.share, share
+            corners = [own for own in one.effects if self.path.cornered([own])]
+            widths = {
+                own.candidate.key: getattr(self.refitter.rounded(own), "width", None) for own in corners
+            }
+            self.refitter.share = before
+            effects = tuple(replace(own, width=widths.get(own.candidate.key)) for own in one.effects)
+            if form_of(effects) == one.form:
+                continue
+            self._tell(f"rounded corners: {one.label}")
+            arrived = self.path.from_point(effects, start)
+            made = None if arrived is None or not arrived.settled else self._counted(effects, arrived)
+            if made is not None and made.log > self.pool[one.key].log:
+                self.pool[one.key] = made
+                changed = True
+        self._turned.clear()
+        return changed
 
     def may_sharpen(self, one: Tried) -> bool:
         """True for a structure of whose corners it is not known whether sharper ones are felt."""
@@ -408,10 +436,17 @@ class Refits:
         worth = max(1.0 / max(self.levels.memory.values(), default=1.0), 1e-6)
         target = self.path.sharpness(one.effects, one.arrived, worth)
         self.blur = self.path.felt if self.path.felt > FELT else 0.0
+        found, self.path.turned = None, None
+        if target < self.refitter.share:
+            found = self.path.sharpest(one.effects, one.arrived, target, worth)
+        if self.path.turned is not None:
+            self._turned[one.key] = one, self.path.turned
+        worse = found is None or found[1].cost > one.arrived.cost + FELT
+        if worse and self.levels.memory and self.path.cornered(one.effects):  # wider ones may leave less
+            self._turned.setdefault(one.key, (one, (self.refitter.share, one.arrived)))
         if target >= self.refitter.share:
             return None
-        found = self.path.sharpest(one.effects, one.arrived, target, worth)
-        if found is None or found[1].cost > one.arrived.cost + FELT:
+        if found is None or worse:
             self._fine.add(one.key)
             self.path.felt = math.nan if found is None else 0.0
             return None
@@ -468,6 +503,8 @@ class Refits:
         where it is less probable."""
         self._tell(f"sharper corners: {tried.label}")
         again = self.path.sharper(tried.effects, tried.arrived, self._wide[-1][0])
+        if again is not None and self.path.turned is not None:
+            self._turned[tried.key] = tried, self.path.turned
         made = None if again is None else self._counted(tried.effects, again)
         if made is not None:
             self.pool[tried.key] = made
@@ -490,8 +527,6 @@ class Refits:
     def rounding_felt(self, effects: Sequence[Addition], *, ended: bool = False) -> float:
         """Chi-squared by which sharper corners of these effects may change it, nan where that is not known; 0 where the
         data do not feel it. ended : before all was done, so that what is known may be of another structure"""
-        if form_of(effects) in self.path.rounded:
-            return 0.0
         if (self.path.felt <= FELT and not ended) or not any(self.path.cornered([one]) for one in effects):
             return 0.0
         tried = self.pool.get(key_of(effects))
@@ -499,13 +534,6 @@ class Refits:
         if math.isnan(known) and tried is not None:
             known = self.path.felt_along(tried.effects, tried.arrived)
         return 0.0 if known <= FELT else known
-
-    def moved_by_width(self, effects: Sequence[Addition]) -> dict[str, float]:
-        """Parameter -> what it moves by with the width of a law that is rounded itself, as far as data tell that."""
-        tried, worth = self.pool.get(key_of(effects)), 1.0 / max(self.levels.memory.values(), default=1.0)
-        return (
-            {} if tried is None else self.path.moved_by_width(tried.effects, tried.arrived, max(worth, 1e-6))
-        )
 
     def may_be_rounding(self, effects: Sequence[Addition]) -> bool:
         """True where all that these effects leave may come of corners that are rounded: sharper ones are felt, and what

@@ -380,12 +380,6 @@ class _Job:
         self.timing["whole data"] = time.perf_counter() - clock
         return made
 
-    def _moved_by_width(self, search: Choice) -> dict[str, float]:
-        """What the width of a law that is rounded itself moves, as far as there is time to tell it."""
-        with self.deadline.spared(1.0), suppress(TimeUp):
-            return search.refits.moved_by_width(search.chosen.effects)
-        return {}
-
     def _looked_over(self, made: Repair, search: Choice, work: float) -> Repair:
         """The answer with all that is said beside it: what was not searched, what else would read the data alike."""
         refits, options = search.refits, self.options
@@ -394,8 +388,7 @@ class _Job:
         with lifted():  # one simulation at most, by which an answer may have to be less sure
             made = told_as_one_law(made)
         rounding = refits.may_be_rounding(search.chosen.effects)
-        moved = refits.path.moved if felt else self._moved_by_width(search)
-        made = with_errors_of_rounding(made, felt, moved, ended=bool(left), all_of_it=rounding)
+        made = with_errors_of_rounding(made, felt, refits.path.moved, ended=bool(left), all_of_it=rounding)
         made = with_hint(replace(made, stopped=self._by if left else "", not_searched=left), self.misread)
         with self.deadline.spared(1.0), suppress(TimeUp), Deadline(work=_AGAIN * work):
             made = with_wider_bounds(made, self.parameters, self.noise, options)

@@ -11,7 +11,7 @@ from casadi_engine.discrepancy.evidence import FACTOR, Digest, Evidence, Levels,
 from casadi_engine.discrepancy.gradual import Gradual
 from casadi_engine.discrepancy.late_samples import Samples
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.path import form_of
+from casadi_engine.discrepancy.path import Form, form_of
 from casadi_engine.discrepancy.refit import Addition
 
 # Standard errors, all else known, from which an amplitude is there at all, however much a refit with it gained.
@@ -73,7 +73,7 @@ class Tried:
         return key_of(self.effects)
 
     @property
-    def form(self) -> frozenset[tuple[str, str, bool]]:
+    def form(self) -> Form:
         """``form_of`` the effects."""
         return form_of(self.effects)
 
