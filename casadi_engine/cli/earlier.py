@@ -195,6 +195,7 @@ def stands_for(path: Path, found: Fit, parameters: Parameters, *, given: Options
     if not whole or given.set or given.free or given.fix or set(levels) != set(found.noise):
         return None
     known = [entries[name] for name in free]
+    _check_errors(path, dict(zip(free, known, strict=True)))
     if any(
         one.get("stderr") is None or one.get("unit") != parameters[name].unit
         for one, name in zip(known, free, strict=True)
@@ -217,6 +218,19 @@ def stands_for(path: Path, found: Fit, parameters: Parameters, *, given: Options
         estimates={**found.estimates, **dict(zip(free, errors, strict=True))},
         errors=ParameterErrors.of(free, covariance, nothing, scale, np.zeros(len(free))), messages=(),
     )  # fmt: skip
+
+
+def _check_errors(path: Path, known: Mapping[str, Mapping[str, Any]]) -> None:
+    """ResultError for a standard error that is none."""
+    for name, one in known.items():
+        error = one.get("stderr")
+        if error is not None and not (isinstance(error, (int, float)) and 0 < error < math.inf):
+            raise ResultError(
+                f"{path}: the standard error of {name} is none",
+                seen=str(error),
+                allowed="a positive number, or null where it is not known",
+                cure="take the file as the fit wrote it",
+            )
 
 
 def _levels(levels: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, bool]]:

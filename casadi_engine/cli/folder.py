@@ -62,6 +62,19 @@ def keep_source(folder: Path, source: Path) -> None:
             )
 
 
+def keep_others(folder: Path, command: str) -> None:
+    """OutputError if the result of another command would be written over."""
+    with contextlib.suppress(OSError, ValueError):
+        earlier = json.loads((folder / "result.json").read_text(encoding="utf-8")).get("command")
+        if earlier != command:
+            raise OutputError(
+                f"the result of another command would be lost: {folder / 'result.json'}",
+                seen=f"a result of {earlier} there, and the command {command}",
+                allowed="a folder without a result, or with an earlier one of the same command",
+                cure="give another folder by --out DIR",
+            )
+
+
 def is_ours(folder: Path, name: str = "result.json") -> bool:
     """True if a file of results in a folder is one of this program's."""
     try:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from casadi_engine.cli.folder import check_folder, is_ours, keep_source, refuse_others
+from casadi_engine.cli.folder import check_folder, is_ours, keep_others, keep_source, refuse_others
 from casadi_engine.cli.options import Options
 from casadi_engine.errors import CasadiEngineError
 
@@ -55,8 +55,10 @@ def prepare(options: Options) -> Job:
     check_folder(folder)
     if not is_ours(folder):
         refuse_others(folder, ("result.json", "report.html"))
-    elif (source := options.extra.get("from_")) is not None:
-        keep_source(folder, Path(source))
+    else:
+        if (source := options.extra.get("from_")) is not None:
+            keep_source(folder, Path(source))
+        keep_others(folder, options.command)
     return Job(options, problem.with_parameters(parameters), folder)
 
 

@@ -20,6 +20,8 @@ from casadi_engine.simulation.error_estimate import ErrorEstimate
 
 Array = NDArray[np.float64]
 
+# How the words on constraints that hold estimates begin.
+HELD = "held by constraints"
 # Growth of the errors from which it is stated as a number.
 _SEEN = 1.05
 # Independent samples with fewer of which the colour of a residual is hardly known.
@@ -56,7 +58,7 @@ def of_the_search(
             )
         )
     if errors.acting:
-        found.append(f"held by constraints: {', '.join(errors.acting)}; do they agree with the data?")
+        found.append(f"{HELD}: {', '.join(errors.acting)}; do they agree with the data?")
     violated = search.constraints.violated(errors.v)
     if violated:
         found.append(f"not met: {', '.join(violated)}")

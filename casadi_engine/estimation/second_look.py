@@ -13,6 +13,7 @@ import numpy as np
 from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.distributions import chi2_isf
 from casadi_engine.errors import CasadiEngineError, NoValueError
+from casadi_engine.estimation.answer_notes import HELD
 from casadi_engine.estimation.faulty_samples import wild_samples
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.followed import OTHERS, lost
@@ -29,6 +30,9 @@ _STARTS, _SEVERAL = 8, 4
 _QUICK = 5.0
 # Standard errors within which another optimum is in the interval of this one.
 _BEYOND = 2.0
+# Chi-squared per sample, by levels that were stated, from which a quick fit is followed by others: another optimum is
+# as likely as a model that is wrong.
+_LOUD = 2.0
 # Logarithm of the factor by which a parameter has left its start where another search is worth its time.
 _WAY = 1.0
 # What the option says then.
@@ -88,8 +92,11 @@ def looked_at_twice(
 def _from_other_starts(fit: Fit, again: Again, kept: Callable[[Fit, dict[str, Any]], Fit]) -> Fit:
     """The fit, or a better one from other starts, of one that went far or to a bound and leaves more than noise, or
     whose likelihood is no quadratic, as where it has further optima, if that is quick."""
-    more = any("is not white" in words and words.startswith("the residual of") for words in fit.messages)
-    asked = ((more and is_elsewhere(fit)) or _is_bent(fit)) and not fit.options.get("neighbours")
+    white = not any("is not white" in words and words.startswith("the residual of") for words in fit.messages)
+    loud = fit.cost > _LOUD * fit.n  # beside levels that were stated
+    held = any(words.startswith(HELD) for words in fit.messages)
+    more = (not white and is_elsewhere(fit)) or ((loud or not white) and held) or loud
+    asked = (more or _is_bent(fit)) and not fit.options.get("neighbours")
     if not (asked and fit.timing["total"] < _QUICK) or wild_samples(fit) is not None:
         return fit
     return _another(fit, again, kept, {"starts": _STARTS}, 1.0, {OTHERS: _STARTS}, rivals=True)

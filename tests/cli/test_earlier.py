@@ -150,3 +150,18 @@ def test_a_result_that_was_edited_to_something_else_is_refused(here, call, chang
     done = call("validate", "problem.py", "--from", "out", "--data", "fresh.csv", "--out", "held")
     assert done.code == 2
     assert f"result.{next(iter(change))} does not fit the schema" in done.err
+
+
+def test_an_error_that_is_none_is_refused(here, call):
+    """One that had been edited to -1 "agreed within the errors"."""
+    call("fit", "problem.py", "--out", "out")
+    path = here / "out" / "result.json"
+    stored = json.loads(path.read_text())
+    name = stored["free"][0]
+    stored["parameters"][name]["stderr"] = -1.0
+    path.write_text(json.dumps(stored))
+    done = call("validate", "problem.py", "--from", "out", "--data", "fresh.csv", "--out", "held")
+    assert done.code == 2
+    assert f"the standard error of {name} is none" in done.err
+    assert "seen: -1.0" in done.err
+    assert "do: take the file as the fit wrote it" in done.err

@@ -88,6 +88,18 @@ def test_only_what_is_named_is_removed(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["mine.csv", "result.json"]
 
 
+def test_no_command_takes_the_result_of_another_one(here, call, quick_report):
+    """A simulation had replaced the fit in whose folder it was to be written."""
+    assert call("fit", "problem.py", "--out", "own").code == 0
+    fitted = (here / "own" / "result.json").read_bytes()
+    told = call("simulate", "problem.py", "--out", "own")
+    assert told.code == 2
+    assert "the result of another command would be lost: own/result.json" in told.err
+    assert "seen: a result of fit there, and the command simulate" in told.err
+    assert (here / "own" / "result.json").read_bytes() == fitted
+    assert call("fit", "problem.py", "--out", "own").code == 0
+
+
 def test_no_command_takes_a_file_that_is_not_its_own(here, call, quick_report):
     """A measured record had been replaced by its simulation, and result files of other programs by ours."""
     measured = (here / "run.csv").read_bytes()
