@@ -46,6 +46,7 @@ class Found:
     interval: tuple | None = None
     doubted: tuple = ()
     optima: tuple = ()
+    n: int = 200
 
     @property
     def free(self):
@@ -240,6 +241,10 @@ def test_a_fit_far_from_its_start_is_searched_over_whole_records_too(changes, lo
         ),
         ({"timing": {"total": 60.0}}, False),
         ({"converged": False}, False),
+        ({"messages": (), "n": 20, "start": {}}, True),  # 2.5 times the noise that was stated
+        ({"messages": (), "n": 30, "start": {}}, False),
+        ({"start": {}, "messages": (*NOT_WHITE, "held by constraints: a + b at its lower limit 3")}, True),
+        ({"start": {}, "messages": ("held by constraints: a + b at its lower limit 3",)}, False),
     ],
 )
 def test_one_that_leaves_more_than_noise_is_searched_from_other_starts_too(changes, looked):
@@ -407,3 +412,46 @@ def test_other_optima_that_the_data_hardly_tell_are_told(others, taken):
     found = Found(50.0, optima=(optimum(50.0, apart=""), *others), percent=41.0, values={"a": 2.5})
     best = looked_at_twice(Found(50.0, **bent), lambda changed: found)
     assert (best.percent == 41.0) is taken
+
+
+def pipe():
+    """Three bodies in a chain, linear, of which the ends are alike and measured."""
+    b = ce.Blueprint("pipe")
+    c, w = (b.parameter(n, v, unit="J/K", min=1, max=2000) for n, v in (("C", 82.4), ("Cw", 36.2)))
+    g, h = (b.parameter(n, v, unit="W/K", min=0.05, max=50) for n, v in (("G1", 2.22), ("G2", 2.12)))
+    loss = b.parameter("h", 0.5, unit="W/K", min=0.01, max=20)
+    a, m, e = (b.state(n, unit="K", scale=300) for n in ("Te", "Tw", "Tc"))
+    heat, around = b.input("Q", unit="W"), b.input("Ta", unit="K")
+    b.ode("Te", (heat - g * (a - m)) / c)
+    b.ode("Tw", (g * (a - m) - h * (m - e)) / w)
+    b.ode("Tc", (h * (m - e) - loss * (e - around)) / c)
+    b.output("e", a, unit="K")
+    b.output("c", e, unit="K")
+    return b.model()
+
+
+def test_what_rests_at_a_limit_with_several_times_the_noise_is_looked_for_from_other_starts():
+    """5 of 30 fits "converged" with both conductances exchanged, 26 standard errors off, at five times the noise."""
+    rng, time, data = np.random.default_rng(2), np.arange(120) * 5.0, []
+    for name, loss in (("a", 0.3), ("b", 0.6), ("c", 1.1)):
+        heat = np.repeat(rng.uniform(0, 60, 8), 15)
+        around = 295 + np.cumsum(rng.normal(0, 0.1, 120))
+
+        def rate(t, x, heat=heat, around=around, loss=loss):
+            q, room = np.interp(t, time, heat), np.interp(t, time, around)
+            first, second = 2.0 * (x[0] - x[1]), 1.2 * (x[1] - x[2])
+            return [(q - first) / 80, (first - second) / 35, (second - loss * (x[2] - room)) / 80]
+
+        x = solve_ivp(rate, (0, time[-1]), [300, 299, 297], t_eval=time, rtol=1e-9, atol=1e-9, max_step=5).y
+        shown = x[[0, 2]] + 0.1 * rng.standard_normal((2, 120))
+        units = {"Q": "W", "Ta": "K", "e": "K", "c": "K"}
+        data.append(
+            ce.Experiment.from_arrays(name, time=time, units=units, Q=heat, Ta=around, e=shown[0], c=shown[1])
+        )
+    pars = pipe().parameters()
+    pars.constrain("G1 + G2", 3.1, 3.2)
+    pars.constrain("C + Cw", 115, 115)
+    pars.vary_by_experiment("h")
+    fit = ce.estimate(pipe(), data, parameters=pars, noise=ce.Noise(e=0.1, c=0.1), progress=False)
+    assert fit.cost < 1.2 * fit.n
+    assert fit.values["G1"] == pytest.approx(2.0, abs=0.1)
