@@ -14,6 +14,7 @@ import numpy as np
 from casadi_engine.deadline import late
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.lower_optimum import merit
 from casadi_engine.model import Model
 from casadi_engine.model.lags import delays, far_from_lags, is_late, lagged, with_nearest_lags
@@ -69,7 +70,8 @@ def follow_delays(fit: Fit, parameters: Parameters, again: Callable[[dict[str, A
 def _read_late(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
     """The fit with inputs that act late read off the record, where that leaves no more than the law of their delay; the
     fit as it is elsewhere: what is no delay may look like that law."""
-    if not late_inputs(fit.model) or not fit.converged:
+    # a step short of its optimum is near enough to read the record by
+    if not late_inputs(fit.model) or not (fit.converged or ONE_STEP in fit.status):
         return fit
     lags, found = dict(fit.model.lags), fit
     for _ in range(_AGAIN):
