@@ -86,7 +86,7 @@ def make_fit(
         residuals,
         check=None if stopped else check,
         spent=timing.get("solve", 0.0),
-    )
+    ).as_told(noise_notes)
     notes = (
         *found.said,
         *of_the_search(search, best, errors, reason, optima, stopped, noise_notes),
@@ -177,7 +177,8 @@ def _with_noise(
     errors, ratio, effective = white, np.ones(len(white.covariance.matrix)), math.inf
     if counted:
         errors, ratio, effective = with_own_noise(search, best, white, noises, varied)
-    then = errors_then(ratio if errors is not white else None, effective) if errors.optimal else _NO_ERRORS
+    known = ratio if errors is not white else None
+    then = errors_then(known, effective, counted=counted) if errors.optimal else _NO_ERRORS
     felt = float(ratio.max(initial=1.0)) > _UNTOLD
     varied = tuple(one for one in varied if felt or one.chance == 1)
     notes = of_the_noise(search, noises, varied, then) + of_quieter_outputs(search, best)

@@ -20,6 +20,8 @@ from casadi_engine.simulation.error_estimate import ErrorEstimate
 
 Array = NDArray[np.float64]
 
+# What is said of errors that would have to count with a noise, and cannot.
+UNTOLD = "no errors are given, as those of white noise are too small"
 # How the words on constraints that hold estimates begin.
 HELD = "held by constraints"
 # Growth of the errors from which it is stated as a number.
@@ -145,14 +147,14 @@ def of_quieter_outputs(search: Search, best: Attempt) -> list[str]:
     ]
 
 
-def errors_then(ratio: Array | None, effective: float) -> str:
+def errors_then(ratio: Array | None, effective: float, *, counted: bool = False) -> str:
     """What the residual's own noise does to the standard errors.
 
     ratio : (N,) by how much the errors are larger than those of white noise, None where they do not count with it
-    effective : independent samples that the most coloured one is worth
+    effective : independent samples that the most coloured one is worth; counted : the errors were to count with it
     """
     if ratio is None:
-        return "the standard errors are too small"
+        return UNTOLD if counted else "the standard errors are too small"
     most = float(ratio.max(initial=1.0))
     then = f"the standard errors count with that: they are up to {most:.2g} times those of white noise"
     if most < _SEEN:

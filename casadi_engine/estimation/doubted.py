@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.distributions import chi2_isf
+from casadi_engine.estimation.answer_notes import UNTOLD
 from casadi_engine.estimation.beside_optimum import UNEVEN, entries_of
 from casadi_engine.estimation.doubt import CALL, FLAT, Doubt
 from casadi_engine.estimation.error_check import doubts_of, words_of
@@ -38,6 +39,20 @@ class Judged:
     initial: dict[str, dict[str, Estimate]]
     said: tuple[str, ...] = ()
     lower: Array | None = None
+
+    def as_told(self, notes: Sequence[str]) -> Judged:
+        """The same without errors where these are said to be none."""
+        if not any(UNTOLD in words for words in notes):
+            return self
+        estimates = {name: _untold(one) for name, one in self.estimates.items()}
+        initial = {
+            record: {name: _untold(one) for name, one in own.items()} for record, own in self.initial.items()
+        }
+        return replace(self, estimates=estimates, initial=initial)
+
+
+def _untold(one: Estimate) -> Estimate:
+    return replace(one, stderr=None, why=_UNKNOWN, interval=None, quadratic=one.stderr) if one.stderr else one
 
 
 def judged(
