@@ -47,6 +47,7 @@ from casadi_engine.discrepancy.wording import (
     what_acts,
 )
 from casadi_engine.distributions import p_words
+from casadi_engine.estimation.answer_notes import UNEVEN_LEVEL, UNEVEN_SIZE
 from casadi_engine.estimation.summary import count
 
 if TYPE_CHECKING:
@@ -95,8 +96,9 @@ def headline(repair: Repair) -> str:
         if repair.stopped and not blind:
             ended = "the search ended before an effect of the library could name it"
             why = "no effect that was tried names it" if unnamed else ended
-        seems = "may be" if repair.stopped and _by_a_score_alone(repair) else "is"
-        return f"something {seems} missing, and {why}{unnamed}{_nearest(repair)}"
+        noisy = uneven_noise(repair)
+        seems = "may be" if noisy or (repair.stopped and _by_a_score_alone(repair)) else "is"
+        return f"something {seems} missing, and {why}{unnamed}{_nearest(repair)}{noisy}"
     left = "not held against the fresh data, as the time was up" if FRESH_DATA in repair.not_searched else ""
     sure = {
         True: "confirmed on fresh data",
@@ -133,6 +135,17 @@ def headline(repair: Repair) -> str:
         )
         return f"{lead}; the nearest of the library: {names}{tried}{doubt}, {fresh}"
     return f"{_named(repair)}{tried}{doubt}, {fresh}"
+
+
+def uneven_noise(repair: Repair) -> str:
+    """That white noise of different sizes may be all, where the fit without effects leaves such, and fresh data confirm
+    nothing; "" of a residual that is not white, which what is missing makes uneven too."""
+    told = repair.null_fit.messages
+    if repair.confirmed or any("is not white" in words for words in told):
+        return ""
+    if not any(UNEVEN_SIZE in words or UNEVEN_LEVEL in words for words in told):
+        return ""
+    return "; or the noise is not of one size, as the residual is not, which all tests take it to be"
 
 
 def law_leads(repair: Repair) -> bool:
@@ -313,6 +326,11 @@ def next_step(repair: Repair) -> str:
         return "look at the initial states that were given, as said above, and repair again without initial="
     if HINT in repair.options:
         return "look at the data first, as said above"
+    if repair.verdict == "unnamed" and uneven_noise(repair):
+        return (
+            "look at the residual over what the sensor shows, ce.plot(repair.null_fit): where it grows with that, let "
+            "the model and the data give the logarithm, of which the noise is of one size, and repair again"
+        )
     if repair.status == "interrupted":
         return "run it again and let it end; repair.fit is the best model so far"
     if repair.verdict is None and SHARE_OVER in repair.status:

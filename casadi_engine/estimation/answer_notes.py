@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 # What is said of errors that would have to count with a noise, and cannot.
 UNTOLD = "no errors are given, as those of white noise are too small"
+# What is said of residuals that are of different sizes.
+UNEVEN_SIZE, UNEVEN_LEVEL = "the size of the residual of", "times as large as that of"
 # How the words on constraints that hold estimates begin.
 HELD = "held by constraints"
 # Growth of the errors from which it is stated as a number.
@@ -175,7 +177,7 @@ def of_the_noise(
         key = f"{search.records[one.at].experiment.name}/{one.output}"
         if one.level is not None and one.others is not None and one.level > one.others:
             found.append(
-                f"the residual of {key} is {one.level / one.others:.2g} times as large as that of {one.output} in the "
+                f"the residual of {key} is {one.level / one.others:.2g} {UNEVEN_LEVEL} {one.output} in the "
                 "other records, and one noise level is estimated for all: quieter records count for less than they are "
                 f"worth, and {then.replace('white noise', 'one level')}"
             )
@@ -194,7 +196,7 @@ def of_the_noise(
         how += ", as a share of it" if own.of_share else ""
         if own.chance < 1:
             how = f"{how.replace('depends', 'may depend').replace('changes', 'may change')} ({100 * own.chance:.0f} %)"
-        what = f"the size of the residual of {keys} {how}, and the fit weights all samples alike"
+        what = f"{UNEVEN_SIZE} {keys} {how}, and the fit weights all samples alike"
         if own.step:
             what = f"{keys} is read in steps of {own.step:.3g}: rounding is most of its noise and depends on the motion"
         if len(own.outputs) > 1:
