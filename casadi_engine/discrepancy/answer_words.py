@@ -22,7 +22,7 @@ def so_far(search: Choice) -> list[str]:
     top, now = _top_so_far(search), search.pool[search.best]
     if top is None:
         return []
-    gone = f"chi-squared {top.evidence.cost:.4g} in place of {now.evidence.cost:.4g}"
+    gone = f"chi-squared falls by {100 * (1 - top.evidence.cost / max(now.evidence.cost, 1e-300)):.0f} %"
     return [f"{SO_FAR} {top.name} ({gone}), which was not fitted to its end"]
 
 

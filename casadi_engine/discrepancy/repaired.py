@@ -225,7 +225,7 @@ class Unknown:
     odds: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Nearest:
     """The model with the effects that were withdrawn, where these are not all that is missing, or not it.
 
@@ -238,17 +238,30 @@ class Nearest:
     estimation: Gap
     validation: Gap | None = None
 
-    def closes(self, gaps: Gaps) -> float:
-        """Share of the squared gap that is closed, the mean of all outputs; where there are fresh data, the smaller one
-        of both."""
+    def __repr__(self) -> str:
+        """The names, and what is left with them; the model is ``fit``."""
+        sides = [("", self.estimation), ("fresh ", self.validation)]
+        left = [
+            f"{words}rmse {', '.join(f'{name} {size:.4g}' for name, size in gap.rmse.items())}"
+            for words, gap in sides
+            if gap is not None
+        ]
+        return f"Nearest({' and '.join(self.names)}: {'; '.join(left)}; .fit is the model)"
+
+    def closes(self, gaps: Gaps, sigma: Mapping[str, float] | None = None) -> float:
+        """Share of the squared gap that is closed, outputs in units of their noise ``sigma``, or the mean of all where
+        it is not known; where there are fresh data, the smaller one of both."""
         pairs = [(gaps.estimation_before.gap, self.estimation)]
         if gaps.validation_before is not None and self.validation is not None:
             pairs.append((gaps.validation_before.gap, self.validation))
-        shares = [
-            [1 - (after.rmse[name] / size) ** 2 for name, size in before.rmse.items() if size > 0]
-            for before, after in pairs
-        ]
-        return min((sum(own) / len(own) for own in shares if own), default=0.0)
+        found = []
+        for before, after in pairs:
+            known = {name: size for name, size in before.rmse.items() if size > 0}
+            noise = {name: (sigma or {}).get(name) or size for name, size in known.items()}
+            if known:
+                left = sum((after.rmse[name] / noise[name]) ** 2 for name in known)
+                found.append(1 - left / sum((size / noise[name]) ** 2 for name, size in known.items()))
+        return min(found, default=0.0)
 
 
 def more_probable(unknown: Unknown | None) -> bool:

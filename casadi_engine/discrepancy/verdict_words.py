@@ -250,7 +250,8 @@ def _by_a_score_alone(repair: Repair) -> bool:
 def _nearest(repair: Repair) -> str:
     """What comes nearest of what was withdrawn, where it closes more than it leaves."""
     near, gaps = repair.nearest, repair.gaps
-    closes = 0.0 if near is None or gaps is None else near.closes(gaps)
+    sigma = None if repair.noise is None else {name: one for name, (one, _) in repair.noise.sigma.items()}
+    closes = 0.0 if near is None or gaps is None else near.closes(gaps, sigma)
     if near is None or closes < HALF:
         return ""
     verb, which = ("is", "closes") if len(near.names) == 1 else ("are", "close")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +12,8 @@ from casadi_engine.estimation.fit import Fit
 
 # Records of the fit from whose initial states the search goes on.
 _MOST = 3
+# Seconds of the processor that searches may have taken for a further one to begin.
+_PATIENT = 10.0
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,7 @@ def found_from_known(source: Any, find: Callable[..., Fit], names: Sequence[str]
     """
     known = list(source.initial.values())[:_MOST] if isinstance(source, Fit) else []
     starts = [_Start(dict.fromkeys(names, states)) for states in known]
+    begun = time.process_time()
     try:
         found = find()
     except EstimationError:
@@ -43,6 +47,10 @@ def found_from_known(source: Any, find: Callable[..., Fit], names: Sequence[str]
     if found.converged and not found.undetermined:
         return found
     for start in starts:
+        if (
+            time.process_time() - begun > _PATIENT
+        ):  # a model that is far from these records takes as long from anywhere
+            break
         other = find(warm=start)
         if other.converged and (not found.converged or other.cost < found.cost):
             return other

@@ -15,6 +15,7 @@ from casadi_engine.discrepancy.choice import TIME_UP
 from casadi_engine.discrepancy.claim import Claim
 from casadi_engine.discrepancy.fresh import Judgement
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
+from casadi_engine.discrepancy.refits import Refits
 from casadi_engine.discrepancy.repaired import BEHIND_LAW
 from casadi_engine.effects import Amplitude, Effect
 
@@ -206,7 +207,7 @@ def test_what_the_time_left_unfitted_is_told_where_it_is_far_more_probable():
     }
     search = SimpleNamespace(pool=pool, best="none", price=3.0, failed={"a play": TIME_UP})
     assert words.so_far(search) == [
-        "the most probable so far is a play (chi-squared 800 in place of 3000), which was not fitted to its end"
+        "the most probable so far is a play (chi-squared falls by 73 %), which was not fitted to its end"
     ]
     assert words.ahead(search) == 80.0
     pool["play"].evidence.cost = 2900.0  # of which a person would see nothing
@@ -218,13 +219,34 @@ def test_what_the_time_left_unfitted_is_told_where_it_is_far_more_probable():
 
 
 @pytest.mark.parametrize(
-    ("port", "felt", "rounding"),
-    [("trolley", 4.0, True), ("trolley", float("nan"), True), ("trolley", 0.0, False), ("mass", 4.0, False)],
+    ("felt", "cost", "memory", "may"),
+    [
+        (0.0, 5000.0, {}, False),
+        (float("nan"), 5000.0, {}, True),
+        (4.6, 54_000.0, {}, False),  # chi-squared per sample 54, of which sharper corners would change 5
+        (30.0, 54_000.0, {}, True),
+        (4.6, 54_000.0, {"y": 10.0}, True),
+        (4.6, 1100.0, {}, True),
+    ],
 )
-def test_what_rounded_corners_leave_at_their_port_is_no_law_of_no_name(port, felt, rounding):
+def test_rounded_corners_leave_no_more_than_sharper_ones_would_change(felt, cost, memory, may):
+    tried = stub(arrived=stub(cost=cost))
+    own = stub(
+        rounding_felt=lambda effects: felt,
+        pool={frozenset(): tried},
+        path=stub(samples=1000),
+        levels=stub(memory=memory),
+    )
+    assert Refits.may_be_rounding(own, ()) is may
+
+
+@pytest.mark.parametrize(
+    ("port", "may", "rounding"), [("trolley", True, True), ("trolley", False, False), ("mass", True, False)]
+)
+def test_what_rounded_corners_leave_at_their_port_is_no_law_of_no_name(port, may, rounding):
     friction = SimpleNamespace(candidate=SimpleNamespace(port="trolley"))
     path = SimpleNamespace(cornered=lambda effects: True)
-    refits = SimpleNamespace(path=path, rounding_felt=lambda effects: felt)
+    refits = SimpleNamespace(path=path, may_be_rounding=lambda effects: may)
     asked = SimpleNamespace(search=SimpleNamespace(refits=refits))
     unknown = SimpleNamespace(port=port, course=object())
     assert Answer._may_be_rounding(asked, SimpleNamespace(effects=(friction,)), unknown) is rounding

@@ -235,7 +235,7 @@ def test_a_search_that_was_none_claims_nothing(leaking):
         leaking, verdict="unnamed", effects=(), unknown=Unknown(UNTOLD, {}), stopped="the time budget"
     )
     assert headline(none) == f"no finding: {UNTOLD}"
-    near = f"{SO_FAR} drag at tank (chi-squared 9 in place of 3000), which was not fitted to its end"
+    near = f"{SO_FAR} drag at tank (chi-squared falls by 100 %), which was not fitted to its end"
     said = headline(replace(none, unknown=Unknown(near, {})))
     assert said == f"something is missing, and the search ended too early for a name: {near}"
     assert f"no finding: {UNTOLD}" in joined(none)

@@ -65,12 +65,12 @@ def test_what_was_withdrawn_closes_as_much_as_the_data_show_that_show_least(fres
 def test_the_headline_says_what_comes_nearest(after, said):
     """A sensor's offset closed nine tenths of the gap, and the only word of it was that it had been withdrawn."""
     near = Nearest(("sensor_offset at sensor_V",), None, gap(after))
-    repair = stub(nearest=near, gaps=sides(gap(4.0), gap(4.0)))
+    repair = stub(nearest=near, gaps=sides(gap(4.0), gap(4.0)), noise=None)
     words = verdict_words._nearest(repair)
     assert words == (
         "; nearest is sensor_offset at sensor_V, which closes 94 % of the squared gap" if said else ""
     )
-    assert verdict_words._nearest(stub(nearest=None, gaps=None)) == ""
+    assert verdict_words._nearest(stub(nearest=None, gaps=None, noise=None)) == ""
 
 
 def test_effects_that_are_withdrawn_leave_their_model_as_the_nearest():
@@ -90,6 +90,21 @@ def test_effects_that_are_withdrawn_leave_their_model_as_the_nearest():
 
 def side(size):
     return Side(gap(size), {}, {})
+
+
+def test_an_output_that_had_no_gap_does_not_halve_what_another_one_closes():
+    """theta went from 8.13 to 0.074, and the headline said that 85 % of the squared gap is closed."""
+    near = Nearest(("a",), None, gap(0.1, 1.0))
+    given = sides(gap(8.0, 1.0), gap(8.0, 1.0))
+    assert near.closes(given, {"y": 0.1, "z": 1.0}) == pytest.approx(1 - 2 / 6401)
+    assert near.closes(given) == pytest.approx((2 - (0.1 / 8) ** 2 - 1) / 2)
+
+
+def test_the_nearest_prints_its_names_and_what_is_left():
+    """It wrote two thousand lines of arrays."""
+    near = Nearest(("drag at shaft", "lag of y"), None, gap(1.0), gap(2.0))
+    assert repr(near) == "Nearest(drag at shaft and lag of y: rmse y 1; fresh rmse y 2; .fit is the model)"
+    assert repr(near) == str(near)
 
 
 def test_an_output_without_a_gap_says_nothing_of_what_is_closed():

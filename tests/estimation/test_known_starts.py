@@ -1,5 +1,7 @@
 """Where the measurement of a fresh record gives no start, its initial states are looked for from those of the fit."""
 
+from types import SimpleNamespace
+
 import casadi
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.errors import SimulationError
+from casadi_engine.estimation.known_starts import found_from_known
 
 TIME = np.linspace(0, 10, 60)
 
@@ -58,3 +61,20 @@ def test_where_no_start_is_found_there_is_no_verdict(fit, monkeypatch):
     assert "Next: look at the record from a start of your own: ce.simulate(fit, record, initial=" in said
     with pytest.raises(SimulationError, match="the initial state could not be fitted"):
         ce.simulate(fit, lost)
+
+
+@pytest.mark.parametrize(("spent", "searches"), [(0.0, 2), (60.0, 1)])
+def test_where_one_search_took_long_no_other_begins(fit, monkeypatch, spent, searches):
+    """Of a reactor that lights up elsewhere ``validate`` went on for 72 s, three searches of 20 s each."""
+    clock, asked = [0.0], []
+    monkeypatch.setattr("casadi_engine.estimation.known_starts.time.process_time", lambda: clock[0])
+    lost = SimpleNamespace(converged=False, undetermined=(), cost=9.0)
+
+    def find(warm=None):
+        asked.append(warm)
+        clock[0] += spent
+        return lost if warm is None else SimpleNamespace(converged=True, undetermined=(), cost=1.0)
+
+    found = found_from_known(fit, find, ["c"])
+    assert len(asked) == searches
+    assert found.converged is (searches == 2)
