@@ -22,6 +22,7 @@ from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.effects import Effect
+from casadi_engine.effects.friction import Rounded, motion
 from casadi_engine.effects.protocol import moves
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Estimate, Fit, estimate
@@ -44,8 +45,9 @@ _ITERATIONS, _FEWER, _GLANCE = 60, 30, 10
 _FURTHER = 4
 # Share of where its search started at which an amplitude is none.
 _GONE = 1e-6
-# Times by which the width of a law that is rounded itself may be smaller, or larger, than where its search starts.
-_ROUNDED = 64.0
+# Share of the motion over which a friction that is rounded itself may be at most: beyond it is a law of its own. Times
+# by which it may be sharper than where its search starts.
+_ROUNDED, _SHARPER = 0.2, 64.0
 # Intervals into which a record is cut for laws with sharp corners.
 _INTERVALS = 400
 
@@ -357,6 +359,19 @@ class Refitter:
             self._narrow[key] = _narrowed(one, self.base, self._paths(), self.share)
         return self._narrow[key]
 
+    def widest(self, one: Addition) -> float:
+        """The width over which the law of a friction may be rounded itself, in the unit of its motion; 0 of any other
+        law, and where there is no motion."""
+        effect = one.candidate.source.effect
+        if self.base is None or not isinstance(effect, Rounded) or not self._paths():
+            return 0.0
+        model = self.base.model
+        view = PortView(
+            model, model.ports[one.candidate.port], partial(courses, self._paths()), effect=effect.name
+        )
+        values = np.concatenate(list(view.courses(motion(view)[0])))
+        return _ROUNDED * float(np.sqrt(np.mean(values**2)))
+
     @property
     def in_places(self) -> bool:
         """True if corners are so sharp that steps are to be short in places alone, as those of the base were."""
@@ -402,7 +417,7 @@ class Refitter:
         for one in effects:
             if one.width is not None:
                 wide = pars[f"{one.key}.width"]
-                wide.set(one.width, min=one.width / _ROUNDED, max=one.width * _ROUNDED, vary=True)
+                wide.set(one.width, min=one.width / _SHARPER, max=max(self.widest(one), one.width), vary=True)
             for name, grid in one.candidate.source.effect.nuisance.items():
                 if grid.over != "time" or grid.whole:
                     continue

@@ -34,7 +34,7 @@ from casadi_engine.discrepancy.linearised import OneStep
 from casadi_engine.discrepancy.noise_choice import scatter_of
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.path import FAILURES, Path, form_of
+from casadi_engine.discrepancy.path import FAILURES, Form, Path, form_of
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.refit import Addition, Refitter, numbers, parts_of
 from casadi_engine.discrepancy.start import Start
@@ -96,6 +96,7 @@ class Refits:
         self._wide: list[tuple[float, dict[Key, Tried]]] = []
         self._blunt = False
         # structures of which sharper corners left more, and the share and the end of the refit that left least
+        self._rounded: set[Form] = set()
         self._turned: dict[Key, tuple[Tried, tuple[float, Arrived]]] = {}
         self.blur = 0.0  # chi-squared that corners as sharp as they are may be off by, as far as it is known
         self.rounded: dict[str, float] = {}  # see ``rounding``
@@ -410,16 +411,23 @@ class Refits:
                 break
             before, self.refitter.share = self.refitter.share, share
             corners = [own for own in one.effects if self.path.cornered([own])]
-            widths = {
-                own.candidate.key: getattr(self.refitter.rounded(own), "width", None) for own in corners
-            }
+            found = {own.candidate.key: getattr(self.refitter.rounded(own), "width", None) for own in corners}
             self.refitter.share = before
+            widest = {own.candidate.key: self.refitter.widest(own) for own in corners}
+            widths = {key: width for key, width in found.items() if width is not None and width < widest[key]}
             effects = tuple(replace(own, width=widths.get(own.candidate.key)) for own in one.effects)
-            if form_of(effects) == one.form:
+            if form_of(effects) == one.form or form_of(effects) in self._rounded:
                 continue
+            self._rounded.add(form_of(effects))  # one whose fit of all data fails is not made so again
             self._tell(f"rounded corners: {one.label}")
             arrived = self.path.from_point(effects, start)
-            made = None if arrived is None or not arrived.settled else self._counted(effects, arrived)
+            if (
+                arrived is None
+                or not arrived.settled
+                or any(arrived.rests(f"{own.key}.width") for own in effects)
+            ):
+                continue  # what is rounded over more of the motion is a law of its own
+            made = self._counted(effects, arrived)
             if made is not None and made.log > self.pool[one.key].log:
                 self.pool[one.key] = made
                 changed = True

@@ -43,7 +43,7 @@ def rounding(port: Any, width: float | None) -> Any:
     return port.width(float(f"{share * port.typical(signal):.2g}"), unit="rad/s")
 
 
-class _Rounded(Effect):
+class Rounded(Effect):
     """Friction whose sign is rounded over ``width``; in refits over what the data can follow."""
 
     width: float | None
@@ -66,7 +66,7 @@ class _Rounded(Effect):
 
 
 @dataclass(frozen=True)
-class CoulombFriction(_Rounded):
+class CoulombFriction(Rounded):
     """Dry friction: a constant torque against the motion, −T sign(ω).
 
     width : the sign is rounded over it, in the motion's unit; None takes a small share of its magnitude, and in
@@ -90,7 +90,7 @@ class CoulombFriction(_Rounded):
 
 
 @dataclass(frozen=True)
-class AsymmetricFriction(_Rounded):
+class AsymmetricFriction(Rounded):
     """Dry friction that differs by direction: T (1 + a) against a positive motion, T (1 − a) against a negative one.
 
     T is the mean of both levels, the asymmetry a between −1 and 1. It is dry friction and a constant torque −T a
@@ -156,7 +156,7 @@ class ViscousFriction(Effect):
 
 
 @dataclass(frozen=True)
-class QuadraticDrag(_Rounded):
+class QuadraticDrag(Rounded):
     """Drag of a fan, of air or of oil, or of a damper with an orifice: a torque against the motion that grows with its
     square, −c ω |ω|."""
 
@@ -182,7 +182,7 @@ class QuadraticDrag(_Rounded):
 
 
 @dataclass(frozen=True)
-class StribeckFriction(_Rounded):
+class StribeckFriction(Rounded):
     """The part of dry friction that fades with speed, −T exp(−(ω/ω_s)²) sign(ω) (Armstrong-Hélouvry 1994).
 
     Fading speeds are tested that a record comes within reach of (at three times that speed 1e-4 is left), and at which

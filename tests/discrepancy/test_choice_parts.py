@@ -25,7 +25,8 @@ def key_of(*names):
 def tried(*names, log=0.0, beyond=BEYOND + 1, failed=False):
     """A structure of effects of these names."""
     effects = tuple(
-        stub(candidate=stub(key=(name, "p")), key=f"p.{name}", label=name, nuisance={}) for name in names
+        stub(candidate=stub(key=(name, "p")), key=f"p.{name}", label=name, nuisance={}, width=None)
+        for name in names
     )
     arrived = stub(values={}, initial={})
     return stub(

@@ -39,7 +39,9 @@ def test_fresh_data_are_as_probable_as_noise_and_errors_of_the_parameters_make_t
 
 def tried(name, log, *, beyond=10.0):
     """A structure of one effect, or of none for an empty name, with a log evidence; a number more for each +."""
-    effect = stub(nuisance=dict.fromkeys(range(name.count("+")), stub(whole=False)), key=f"p.{name}")
+    effect = stub(
+        nuisance=dict.fromkeys(range(name.count("+")), stub(whole=False)), key=f"p.{name}", width=None
+    )
     effect.candidate = stub(source=stub(effect=stub(limit="")))
     one = stub(
         key=frozenset([(name, "p")] if name else []),

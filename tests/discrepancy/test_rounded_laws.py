@@ -1,10 +1,14 @@
 """Laws whose corners are rounded themselves: contacts that give way before they slide."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.discrepancy.refit import Refitter, addition
+from casadi_engine.discrepancy.screening import screen
 
 LEVEL = 0.03
 
@@ -36,7 +40,7 @@ def run(name, seed, width, samples=500):
     return ce.Experiment.from_arrays(name, time=time, units=units, T=torque(time), speed=shown)
 
 
-@pytest.mark.parametrize("width", [0.2, pytest.param(0.5, marks=pytest.mark.slow), 0.05])
+@pytest.mark.parametrize("width", [0.2, 0.05])
 def test_friction_that_is_rounded_itself_is_dry_friction_with_its_width(width):
     """It was Stribeck friction of 0.70 +- 0.003 N m, named and confirmed: with corners of one width for all laws the
     one with a further number bent to the rounding."""
@@ -50,6 +54,23 @@ def test_friction_that_is_rounded_itself_is_dry_friction_with_its_width(width):
     assert own.unit == "rad/s"
     assert "tanh(w/shaft.coulomb_friction.width)" in found.equation.text
     assert "shaft.coulomb_friction.width = " in str(found)
+
+
+def test_a_width_is_a_corner_and_no_law_of_its_own():
+    """A brake by eddy currents was a friction that is rounded over a third of the motion, and a drag, confirmed."""
+    base, record = shaft(), run("a", 0, 0.2)
+    fit = ce.estimate(base, record, noise=ce.Noise(speed=LEVEL), progress=False)
+    (one,) = screen(fit, ["coulomb_friction"], at=["shaft"], colour=False).candidates
+    refitter = Refitter(base, base.parameters(), (record,), ce.Noise(speed=LEVEL), base=fit)
+    friction = addition(one, 0.8)
+    motion = ce.simulate(fit, record)["speed"].values
+    assert refitter.widest(friction) == pytest.approx(0.2 * np.sqrt(np.mean(motion**2)), rel=0.05)
+    rounded = [replace(friction, width=0.05)]
+    wide = refitter.parameters_of(refitter.extended(rounded), rounded)
+    own = wide["shaft.coulomb_friction.width"]
+    assert (own.vary, own.value, own.max) == (True, 0.05, pytest.approx(refitter.widest(friction)))
+    (drift,) = screen(fit, ["sensor_offset"], colour=False).candidates
+    assert refitter.widest(addition(drift, 0.1)) == 0.0
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ PORT = "rotor"
 class Added:
     effect: object
     mechanical: bool = True
+    width: float | None = None
 
     @property
     def candidate(self):
