@@ -45,6 +45,8 @@ _POOR = 1.1
 _PATIENCE = 10.0
 # Of the work that is allowed, what one start may take while there is no answer from another one: some lead nowhere.
 _SHARE = 0.5
+# Share of chi-squared by which two optima are the same.
+_SAME = 1e-3
 # Iterations for first states from which no path led to rest: a model that is far off has none that fit.
 _LOST, _MOST = 20, 60
 # The status of a simulation whose first states had not settled.
@@ -100,8 +102,10 @@ def held_fit(
     if known is not None:
         starts.append((_from_known(fit, model, record, known, near), _MOST))
     starts.append((None, _MOST if starts or found is not None else _LOST))
-    last, spent = len(starts), begun.done
+    last, spent, alike = len(starts), begun.done, False
     for number in range(last + 1):
+        if alike and number < last:  # two searches have ended at one optimum
+            continue
         if number == last:
             if found is None:
                 break
@@ -126,6 +130,7 @@ def held_fit(
             continue
         finally:
             spent += limit.done
+        alike = alike or (found is not None and _alike(made, found))
         found = made if found is None else _better(found, made)
         if found.cost / found.n <= _chance(found) * _misfit(fit, noise):
             break
@@ -190,6 +195,11 @@ def _better(one: Fit, other: Fit) -> Fit:
         ready, open_ = (one, other) if one.converged else (other, one)
         return ready if ready.cost <= _chance(ready) * open_.cost else open_
     return min(one, other, key=lambda fit: fit.cost)
+
+
+def _alike(one: Fit, other: Fit) -> bool:
+    """True if two searches from different starts ended at one optimum."""
+    return one.converged and other.converged and abs(one.cost - other.cost) <= _SAME * other.cost
 
 
 def _chance(found: Fit) -> float:

@@ -106,6 +106,27 @@ def test_first_states_that_cannot_be_simulated_from_are_no_start(fit, monkeypatc
         held_fit(fit, fresh, noise=NOISE)
 
 
+def test_two_searches_that_end_at_one_optimum_need_no_third_but_for_what_no_output_shows(fit, monkeypatch):
+    """A run that no first state describes was searched from every start, for two fifths of a repair."""
+    lossy = ce.one_inertia().with_effect(ce.effects.CoulombFriction(), at="engine", values={"torque": 3.0})
+    fresh = record("fresh", lambda t: 4 * np.sin(9 * t), 1, model=lossy)
+    known = {
+        name: one.value + 1.0 for name, one in held_fit(fit, fresh, noise=NOISE).initial["fresh"].items()
+    }
+    asked, real = [], fresh_fits.estimate
+
+    def estimate(*arguments, **options):
+        asked.append(options["warm"])
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(fresh_fits, "estimate", estimate)
+    held = held_fit(fit, fresh, noise=NOISE, known=known)
+    assert held.cost > 2 * held.n
+    assert asked[1].initial["fresh"] == known  # behind the simulation from where windows had ended
+    assert None not in asked
+    assert len(asked) == 3
+
+
 def test_what_no_parameter_explains_is_still_seen(fit):
     model = ce.one_inertia()
     lossy = model.with_effect(ce.effects.CoulombFriction(), at="engine", values={"torque": 3.0})
