@@ -331,7 +331,7 @@ class Path:
     def sharper(self, effects: Sequence[Addition], arrived: Arrived, before: float) -> Arrived | None:
         """A refit with corners as sharp as they are now, from where it arrived with those before, in steps."""
         refitter, own, found = self.refitter, self.refitter.share, arrived
-        least = before, arrived
+        least, self.turned = (before, arrived), None
         try:
             steps = [share for share in self.shares(before)[1:] if share > 1.01 * own]
             for share in (*steps, own):

@@ -95,8 +95,9 @@ class Refits:
         # shares and pools before corners were sharpened, the last at the end
         self._wide: list[tuple[float, dict[Key, Tried]]] = []
         self._blunt = False
-        # structures of which sharper corners left more, and the share and the end of the refit that left least
+        # those that were refitted with the widths of their corners estimated
         self._rounded: set[Form] = set()
+        # structures of which sharper corners left more, and the share and the end of the refit that left least
         self._turned: dict[Key, tuple[Tried, tuple[float, Arrived]]] = {}
         self.blur = 0.0  # chi-squared that corners as sharp as they are may be off by, as far as it is known
         self.rounded: dict[str, float] = {}  # see ``rounding``
@@ -415,8 +416,11 @@ class Refits:
             self.refitter.share = before
             widest = {own.candidate.key: self.refitter.widest(own) for own in corners}
             widths = {key: width for key, width in found.items() if width is not None and width < widest[key]}
-            effects = tuple(replace(own, width=widths.get(own.candidate.key)) for own in one.effects)
-            if form_of(effects) == one.form or form_of(effects) in self._rounded:
+            effects = tuple(
+                replace(own, width=widths.get(own.candidate.key, own.width)) for own in one.effects
+            )
+            known = self.pool.get(one.key)
+            if known is None or form_of(effects) == one.form or form_of(effects) in self._rounded:
                 continue
             self._rounded.add(form_of(effects))  # one whose fit of all data fails is not made so again
             self._tell(f"rounded corners: {one.label}")
@@ -428,7 +432,7 @@ class Refits:
             ):
                 continue  # what is rounded over more of the motion is a law of its own
             made = self._counted(effects, arrived)
-            if made is not None and made.log > self.pool[one.key].log:
+            if made is not None and made.log > known.log:
                 self.pool[one.key] = made
                 changed = True
         self._turned.clear()
