@@ -48,7 +48,7 @@ from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, SHARE_OVER, UNRE
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import CasadiEngineError, EstimationError
 from casadi_engine.estimation import Fit, estimate
-from casadi_engine.estimation.corner_widths import ROUNDED, felt_by, widths_of, with_widths
+from casadi_engine.estimation.corner_widths import ROUNDED, felt_by, with_widths_of
 from casadi_engine.estimation.estimate import _own, _records
 from casadi_engine.estimation.faulty_samples import at_its_limit, stands_still, wild_samples
 from casadi_engine.estimation.few_samples import UNKNOWN
@@ -443,7 +443,7 @@ class _Job:
             self.null_fit = fit = found_again(fit, own.done, given, _NULL * self.deadline.left)
         fit, pars = settle_scatter(fit, self.parameters, noise=self.noise, options=self.options)
         self.null_fit = fit
-        pars = with_widths(pars, widths_of(fit, pars))
+        pars = with_widths_of(fit, pars)
         self.timing["null fit"] = time.perf_counter() - self.begun
         return fit, pars, work
 

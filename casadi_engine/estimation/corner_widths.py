@@ -267,9 +267,15 @@ def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
     }
 
 
-def widths_of(fit: Fit, parameters: Parameters) -> dict[str, float]:
-    """The widths of corners that a fit found by the motion, where the set leaves them as they were declared."""
-    return {name: fit.parameters[name].value for name in _open_widths(fit.model, parameters)}
+def with_widths_of(fit: Fit, parameters: Parameters) -> Parameters:
+    """A copy of a set with the widths of corners that a fit found by the motion, where the set leaves them as they were
+    declared; estimated where the fit estimated them: beside what is missing they are others."""
+    widths = {name: fit.parameters[name].value for name in _open_widths(fit.model, parameters)}
+    pars = with_widths(parameters, widths)
+    for name in widths:
+        if name in fit.free:
+            pars[name].set(fit.values[name], min=fit.parameters[name].min, vary=True)
+    return pars
 
 
 def _untouched(parameter: Any, value: float) -> bool:

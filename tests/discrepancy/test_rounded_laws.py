@@ -23,8 +23,8 @@ def shaft():
     return b.model()
 
 
-def run(name, seed, width, samples=500):
-    """Friction of 0.8 N m that is rounded over a width [rad/s], by SciPy."""
+def run(name, seed, width, samples=500, drag=0.0):
+    """Friction of 0.8 N m that is rounded over a width [rad/s], and a drag, by SciPy."""
     rng = np.random.default_rng(seed)
     time, (a, b, c) = np.arange(samples) * 0.02, rng.uniform(0, 6, 3)
 
@@ -32,7 +32,7 @@ def run(name, seed, width, samples=500):
         return 2.0 * np.sin(2 * t + a) + 1.5 * np.sin(0.7 * t + b) + 0.8 * np.sin(5 * t + c)
 
     speed = solve_ivp(
-        lambda t, y: [(torque(t) - 0.3 * y[0] - 0.8 * np.tanh(y[0] / width)) / 0.5],
+        lambda t, y: [(torque(t) - 0.3 * y[0] - 0.8 * np.tanh(y[0] / width) - drag * y[0] * abs(y[0])) / 0.5],
         (0, time[-1]), [0.0], t_eval=time, method="LSODA", rtol=1e-9, atol=1e-11,
     ).y[0]  # fmt: skip
     shown = speed + LEVEL * rng.standard_normal(samples)
@@ -95,6 +95,21 @@ def test_a_fit_estimates_the_width_that_the_data_ask_for(width):
         own = fit.estimates[name]
         assert abs(own.value - truth) < 3 * own.stderr, name
     assert any("the data ask for rounded corners: shaft.coulomb_friction.width" in m for m in fit.messages)
+
+
+def test_beside_what_is_missing_the_width_of_a_friction_that_the_model_has_is_another_one():
+    """Held where the model without the drag had it, it asked for Stribeck friction with a width of its own."""
+    model = shaft().with_effect(ce.effects.CoulombFriction(), at="shaft", values={"torque": 0.5})
+    found = ce.repair(
+        model, run("a", 0, 0.2, 600, drag=0.05), fresh=run("b", 1, 0.2, 600, drag=0.05), progress=False,
+        effects=["quadratic_drag", "stribeck_friction", "asymmetric_friction"],
+    )  # fmt: skip
+    assert [one.key for one in found.effects] == ["shaft.quadratic_drag"]
+    assert (found.verdict, found.confirmed) == ("named", True)
+    truth = {"shaft.quadratic_drag.coefficient": 0.05, "shaft.coulomb_friction.torque": 0.8}
+    for name, value in {**truth, "shaft.coulomb_friction.width": 0.2}.items():
+        own = found.fit.estimates[name]
+        assert abs(own.value - value) < 3 * own.stderr, name
 
 
 def test_a_fit_keeps_a_width_that_was_stated_and_sharp_laws_sharp():
