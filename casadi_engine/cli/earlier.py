@@ -226,7 +226,7 @@ def _check_errors(path: Path, known: Mapping[str, Mapping[str, Any]]) -> None:
         error = one.get("stderr")
         if error is not None and not (isinstance(error, (int, float)) and 0 < error < math.inf):
             raise ResultError(
-                f"{path}: the standard error of {name} is none",
+                f"{path}: the standard error of {name} is not a positive number",
                 seen=str(error),
                 allowed="a positive number, or null where it is not known",
                 cure="take the file as the fit wrote it",

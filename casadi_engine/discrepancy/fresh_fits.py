@@ -96,12 +96,11 @@ def held_fit(
         if found is not None and near.converged and (once or enough):
             return found
         leads = found is not None and not found.converged  # what cannot be simulated leads nowhere
-    starts: list[tuple[Start | None, int]] = []
-    if near is not None and leads:
-        starts.append((replace(near, in_places=_in_places(fit)), _MOST if near.converged else _LOST))
-    if known is not None:
-        starts.append((_from_known(fit, model, record, known, near), _MOST))
-    starts.append((None, _MOST if starts or found is not None else _LOST))
+    starts = _starts(
+        fit, near if leads else None, None if known is None else _from_known(fit, model, record, known, near)
+    )
+    if len(starts) == 1 and found is None:  # from the measurement alone
+        starts = [(None, _LOST)]
     last, spent, alike = len(starts), begun.done, False
     for number in range(last + 1):
         if alike and number < last:  # two searches have ended at one optimum
@@ -140,6 +139,16 @@ def held_fit(
         assert fault is not None
         raise fault
     return found
+
+
+def _starts(fit: Fit, near: Start | None, known: Start | None) -> list[tuple[Start | None, int]]:
+    """Where searches for first states begin, the measurement last, and their iterations."""
+    found: list[tuple[Start | None, int]] = []
+    if near is not None:
+        found.append((replace(near, in_places=_in_places(fit)), _MOST if near.converged else _LOST))
+    if known is not None:
+        found.append((known, _MOST))
+    return [*found, (None, _MOST)]
 
 
 def _from_own_records(

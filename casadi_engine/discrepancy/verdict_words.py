@@ -329,7 +329,7 @@ def next_step(repair: Repair) -> str:
         return "look at the data first, as said above"
     if repair.verdict == "unnamed" and uneven_noise(repair):
         return (
-            "look at the residual over what the sensor shows, ce.plot(repair.null_fit): where it grows with that, let "
+            "compare the residual, ce.plot(repair.null_fit), with what the sensor shows: where it grows with that, let "
             "the model and the data give the logarithm, of which the noise is of one size, and repair again"
         )
     if repair.status == "interrupted":

@@ -47,9 +47,8 @@ def found_from_known(source: Any, find: Callable[..., Fit], names: Sequence[str]
     if found.converged and not found.undetermined:
         return found
     for start in starts:
-        if (
-            time.process_time() - begun > _PATIENT
-        ):  # a model that is far from these records takes as long from anywhere
+        # a model that is far from these records takes as long from anywhere
+        if time.process_time() - begun > _PATIENT:
             break
         other = find(warm=start)
         if other.converged and (not found.converged or other.cost < found.cost):

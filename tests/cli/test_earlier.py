@@ -162,6 +162,6 @@ def test_an_error_that_is_none_is_refused(here, call):
     path.write_text(json.dumps(stored))
     done = call("validate", "problem.py", "--from", "out", "--data", "fresh.csv", "--out", "held")
     assert done.code == 2
-    assert f"the standard error of {name} is none" in done.err
+    assert f"the standard error of {name} is not a positive number" in done.err
     assert "seen: -1.0" in done.err
     assert "do: take the file as the fit wrote it" in done.err

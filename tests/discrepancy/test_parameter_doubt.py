@@ -51,13 +51,19 @@ def test_errors_of_parameters_are_no_colour(fit):
     assert beside > 0.05
 
 
-def test_first_states_of_another_structure_lead_out_of_a_wrong_optimum(fit, monkeypatch):
-    """The search over windows had ended, and said that it had, where a fermenter has no substrate."""
+def misled(fit, monkeypatch):
+    """A fresh record, its right fit and first states, and the wrong ones that a search over windows is to end at."""
     fresh = record("fresh", lambda t: 4 * np.sin(9 * t), 1)
     right = held_fit(fit, fresh, noise=NOISE)
     first = {name: one.value for name, one in right.initial["fresh"].items()}
     wrong = Start(right.values, {"fresh": {name: value + 30 for name, value in first.items()}}, {}, True)
     monkeypatch.setattr(fresh_fits, "first_states_on", lambda *_, **__: wrong)
+    return fresh, right, first, wrong
+
+
+def test_first_states_of_another_structure_lead_out_of_a_wrong_optimum(fit, monkeypatch):
+    """The search over windows had ended, and said that it had, where a fermenter has no substrate."""
+    fresh, right, first, _ = misled(fit, monkeypatch)
     asked, real = [], fresh_fits.estimate
 
     def estimate(*arguments, **options):
@@ -79,11 +85,7 @@ def test_first_states_of_another_structure_lead_out_of_a_wrong_optimum(fit, monk
 @pytest.mark.parametrize("outcome", ["fails", "costs too much"])
 def test_first_states_that_cannot_be_simulated_from_are_no_start(fit, monkeypatch, outcome):
     """They had taken all the work that was allowed, where those of another structure needed next to none."""
-    fresh = record("fresh", lambda t: 4 * np.sin(9 * t), 1)
-    right = held_fit(fit, fresh, noise=NOISE)
-    first = {name: one.value for name, one in right.initial["fresh"].items()}
-    wrong = Start(right.values, {"fresh": {name: value + 30 for name, value in first.items()}}, {}, True)
-    monkeypatch.setattr(fresh_fits, "first_states_on", lambda *_, **__: wrong)
+    fresh, right, first, wrong = misled(fit, monkeypatch)
     asked, real = [], fresh_fits.estimate
 
     def estimate(*arguments, **options):
