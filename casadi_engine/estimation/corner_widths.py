@@ -148,9 +148,10 @@ def _as_rounded(
     def times(factor: float) -> dict[str, float]:
         return {name: float(f"{factor * width:.2g}") for name, width in sharp.widths.items()}
 
-    costs = {
-        factor: sharp.cost(times(factor)) for factor in (1.0, *(FACTOR**k for k in range(1, SHARPER + 1)))
-    }
+    try:
+        costs = {factor: sharp.cost(times(factor)) for factor in (FACTOR**k for k in range(SHARPER + 1))}
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None  # there is a fit
     factor = min(costs, key=costs.__getitem__)
     begun = _refitted(sharp, parameters, times(factor), again) if costs[factor] < costs[1.0] - FELT else None
     if begun is None:
@@ -166,7 +167,8 @@ def _as_rounded(
         return None
     names = " and ".join(begun.widths)
     words = (
-        f"the data ask for rounded corners: {names} is estimated, as sharp ones leave more than chance makes"
+        f"the data ask for rounded corners: {names} is estimated, as sharp corners leave a larger residual than by "
+        "chance"
     )
     return replace(fit, messages=(words, *fit.messages))
 

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 import casadi_engine as ce
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.screening import screen
+from casadi_engine.estimation.corner_widths import Motion, _as_rounded
 
 LEVEL = 0.03
 
@@ -120,3 +121,18 @@ def test_a_fit_keeps_a_width_that_was_stated_and_sharp_laws_sharp():
     fit = ce.estimate(model, run("a", 0, 1e-3), progress=False)
     assert "shaft.coulomb_friction.width" not in fit.free
     assert not any("rounded corners: " in m for m in fit.messages)
+
+
+def test_a_fit_with_sharp_corners_stays_where_wider_ones_cannot_be_simulated(monkeypatch):
+    model = shaft().with_effect(ce.effects.CoulombFriction(), at="shaft")
+    plain = ce.estimate(model, run("a", 0, 1e-3), progress=False)
+    real, width = Motion.cost, plain.parameters["shaft.coulomb_friction.width"].value
+
+    def cost(self, widths):
+        if max(widths.values()) > 3 * width:
+            raise FloatingPointError("the model's state is not finite here")
+        return real(self, widths)
+
+    monkeypatch.setattr(Motion, "cost", cost)
+    motion = Motion(plain, {"shaft.coulomb_friction.width": width})
+    assert _as_rounded(motion, model.parameters(), lambda *_: pytest.fail("no refit is asked for")) is None
