@@ -17,6 +17,7 @@ from casadi_engine.discrepancy.linear_algebra import REPEATED, Array
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
 from casadi_engine.estimation import Estimate, Fit
+from casadi_engine.estimation.all_pole import all_pole
 
 # Errors are said to count with the colour where it changes one by more than this share.
 _SEEN = 0.1
@@ -137,15 +138,12 @@ def _ratio(then: float, now: float) -> float:
 
 def _coloured(record: RecordNull, output: str, slopes: Array, noise: NoiseModel) -> Array:
     """L' J, (n, k), where the noise of an output is L times white noise of unit variance."""
-    from scipy.signal import lfilter
-
     colour = noise.colour.get((record.name, output))
     if colour is None or colour.order == 0:
         return slopes * noise.sigma[output]
     full = np.zeros((record.length[output], slopes.shape[1]))
     full[record.valid(output)] = slopes
-    backwards = lfilter([noise.sigma[output]], colour.predictors[-1], full[::-1], axis=0)
-    return np.asarray(backwards)
+    return all_pole(colour.predictors[-1], full[::-1], noise.sigma[output])
 
 
 def _wider(one: Estimate, ratio: float) -> Estimate:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.distributions import chi2_sf, f_sf
+from casadi_engine.estimation.all_pole import all_pole
 from casadi_engine.estimation.autoregression import autoregression
 from casadi_engine.estimation.dichotomy import grows
 from casadi_engine.estimation.joint_noise import common_scatter
@@ -342,19 +343,17 @@ def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> tuple[Array, float]
     samples tell as much of a mean."""
     if one.neighbours is None:
         return slopes.T @ slopes * (one.level or 1.0) ** 2, math.inf
-    from scipy.signal import lfilter
-
     columns = _with_taken(one, slopes, errors)
     noise = autoregression(columns, one.valid)
     predictor = _lasting(noise.predictors[-1], len(slopes))
-    answer = lfilter([1.0], predictor, np.eye(1, len(slopes))[0])
+    answer = all_pole(predictor, np.eye(len(slopes), 1))[:, 0]
     count, power = int(one.valid.sum()), float((answer**2).sum())
     level = math.sqrt(float((columns**2).sum()) / count / power)
     # the noise was there before the record began
     before = int(np.flatnonzero(np.abs(answer) > _LITTLE).max(initial=0))
     backwards = np.concatenate([slopes[::-1], np.zeros((before, slopes.shape[1]))])
-    passed = lfilter([level], predictor, backwards, axis=0)
-    return np.asarray(passed.T @ passed), count * power * float(predictor.sum()) ** 2
+    passed = all_pole(predictor, backwards, level)
+    return passed.T @ passed, count * power * float(predictor.sum()) ** 2
 
 
 def _with_taken(one: OwnNoise, slopes: Array, errors: Array) -> Array:
