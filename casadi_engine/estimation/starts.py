@@ -77,12 +77,13 @@ def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
 def _first_guess(parts: Callable[[Array], list[Array]], scale: Array) -> Array:
     """A state (n,) at which the equations have values and slopes; if there is none, one at which the outputs have.
 
-    Zero, or a typical size: a root, a logarithm or a quotient has no slope or no value at zero.
+    Zero, or a typical size: a root, a logarithm or a quotient has no slope or no value at zero, and an output that is a
+    product of states, or an even function of one, says nothing of them there.
     """
     guesses = (0.0 * scale, scale, -scale)
-    for guess in guesses:
-        if _is_finite(parts(guess)):
-            return guess
+    usable = [guess for guess in guesses if _is_finite(parts(guess))]
+    if usable:
+        return min(usable, key=lambda guess: int((parts(guess)[1] == 0).all(axis=1).sum()))
     return guesses[0] if _is_finite(parts(guesses[0])[1::2]) else guesses[1]
 
 

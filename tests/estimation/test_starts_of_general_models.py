@@ -213,3 +213,23 @@ def test_a_start_near_samples_below_zero_has_slopes_by_a_power(seed):
     )
     fit = ce.estimate(toggle(), data, progress=False)
     arrived(fit, {"a1": 3.0, "a2": 2.4, "hill": 2.5, "d": 0.1})
+
+
+def test_an_output_that_is_a_product_of_states_says_nothing_of_them_at_zero():
+    # at susceptible = infectious = 0 neither moves the incidence: searches began there, and ended
+    b = ce.Blueprint("epidemic", time_unit="d")
+    beta = b.parameter("beta", 0.36, unit="1/d", min=0.01, max=2)
+    gamma = b.parameter("gamma", 0.2, unit="1/d", min=0.01, max=2)
+    s, i = b.state("S", unit="1", scale=1), b.state("I", unit="1", scale=0.05)
+    new = beta * s * i
+    b.ode("S", -new)
+    b.ode("I", new - gamma * i)
+    b.output("incidence", 1e5 * new, unit="1")
+    t = np.arange(100.0)
+    z = solve_ivp(
+        lambda _, z: [-0.42 * z[0] * z[1], 0.42 * z[0] * z[1] - 0.16 * z[1]],
+        t[[0, -1]], [0.97, 0.002], t_eval=t, rtol=1e-10, atol=1e-12,
+    ).y  # fmt: skip
+    seen = 1e5 * 0.42 * z[0] * z[1] + 10 * np.random.default_rng(4).standard_normal(len(t))
+    data = ce.Experiment.from_arrays("wave", time=86400 * t, units={"incidence": "1"}, incidence=seen)
+    arrived(ce.estimate(b.model(), data, progress=False), {"beta": 0.42, "gamma": 0.16})
