@@ -230,6 +230,6 @@ def test_an_output_that_is_a_product_of_states_says_nothing_of_them_at_zero():
         lambda _, z: [-0.42 * z[0] * z[1], 0.42 * z[0] * z[1] - 0.16 * z[1]],
         t[[0, -1]], [0.97, 0.002], t_eval=t, rtol=1e-10, atol=1e-12,
     ).y  # fmt: skip
-    seen = 1e5 * 0.42 * z[0] * z[1] + 10 * np.random.default_rng(4).standard_normal(len(t))
+    seen = 1e5 * 0.42 * z[0] * z[1] + 10 * np.random.default_rng(6).standard_normal(len(t))
     data = ce.Experiment.from_arrays("wave", time=86400 * t, units={"incidence": "1"}, incidence=seen)
     arrived(ce.estimate(b.model(), data, progress=False), {"beta": 0.42, "gamma": 0.16})
