@@ -143,6 +143,8 @@ class FirstPoints(LaidProblem):
     def _checked(self, x: Array, z: Array) -> Array:
         """The point itself, or another one of these values where the model cannot be evaluated there: nodes near noisy
         samples may lie where a power has no slope or a mass no inverse, and those of one run need not."""
+        for record in self.records:
+            record.begin()
         others = (lambda: x, lambda: self._chained(x), lambda: self._start(z, first=False, fitted=False))
         for made in others:
             with suppress(FloatingPointError, np.linalg.LinAlgError):

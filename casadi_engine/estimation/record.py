@@ -287,9 +287,18 @@ class RecordTerm:
     def limit_steps(self, most: int) -> None:
         """Refuse points at which nonlinear laws ask for more than ``most`` integration steps to a sample."""
         self._most = most
-        inner = getattr(self.propagator, "states", self.propagator)
-        if isinstance(inner, ExponentialPropagator):
+        if isinstance(inner := self._inner, ExponentialPropagator):
             inner.most = most
+
+    def begin(self) -> None:
+        """What comes is the first point of a search: it may ask for many more integration steps than others before."""
+        if isinstance(inner := self._inner, ExponentialPropagator):
+            inner.begin()
+
+    @property
+    def _inner(self) -> Any:
+        """What propagates the states."""
+        return getattr(self.propagator, "states", self.propagator)
 
     @property
     def count(self) -> int:

@@ -105,17 +105,14 @@ def check_side(model: Model, port: Port) -> None:
     if port.slot is None or port.kind not in ("inertia", "coupling"):
         return
     sign = 1 if port.kind == "inertia" else -1
-    signal = "speed" if port.kind == "inertia" else "twist_rate" if "twist_rate" in port.signals else "twist"
-    if signal not in port.signals:
+    signals = ("speed",) if port.kind == "inertia" else ("twist", "twist_rate")
+    signal = next((name for name in signals if name in port.signals), None)
+    if signal is None:
         return
-    moved, ode = port.signals[signal], ca.substitute(model.ode, model.d, ca.SX.zeros(model.d.shape))
-    rates = 2 if signal == "twist" else 1
-    for _ in range(rates):
-        moved = ca.jtimes(moved, model.x, ode)
     slope = ca.Function(
         "slope",
         [model.x, model.u, model.d, model.w, model.t, model.p],
-        [ca.jacobian(moved, port.slot)],
+        [_first_slope(model, port, port.signals[signal])],
         {"allow_free": True},
     )
     if slope.get_free():
@@ -137,6 +134,17 @@ def check_side(model: Model, port: Port) -> None:
             cure=f"exchange the sign of the slot of {port.name} in the ode (and of its law, if it has one), or of "
             f"the signal {signal}",
         )
+
+
+def _first_slope(model: Model, port: Port, moved: ca.SX) -> ca.SX:
+    """By how much the slot of a port moves the lowest derivative of a signal that it moves at all: the second one of
+    the twist between two masses, the first where a damper stands between its ends alone."""
+    ode = ca.substitute(model.ode, model.d, ca.SX.zeros(model.d.shape))
+    for _ in range(2):
+        moved = ca.jtimes(moved, model.x, ode)
+        if ca.depends_on(moved, port.slot):
+            break
+    return ca.jacobian(moved, port.slot)
 
 
 def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:

@@ -141,6 +141,10 @@ class ExponentialPropagator:
         other._lay(substeps)
         return other
 
+    def begin(self) -> None:
+        """What comes is no step of a search from the point before: as many steps as it asks for are worth it."""
+        self._begun = False
+
     def finer(self, factor: int) -> ExponentialPropagator:
         """The same propagator with every step cut into ``factor`` steps."""
         return self.refined(self.substeps * factor)
@@ -211,13 +215,15 @@ class ExponentialPropagator:
             if self.substeps >= MOST_SUBSTEPS and feedback > _UNSTABLE:
                 self.stiff = True
                 raise TooStiff("the laws answer faster than the shortest integration steps can follow")
-            if self.substeps >= MOST_SUBSTEPS or feedback <= _STRONGEST:
+            lost = not (self._begun or self.most < MOST_SUBSTEPS or np.isfinite(steps.end).all())
+            if self.substeps >= MOST_SUBSTEPS or (feedback <= _STRONGEST and not lost):
                 break
             if self.most < MOST_SUBSTEPS and self.substeps * feedback > self.most * _STRONGEST:
                 raise FloatingPointError("the laws ask for more integration steps than are allowed")
             if self._begun and self.substeps * feedback > _JUMP * self._next * _STRONGEST:
                 raise FloatingPointError("the laws are far stiffer here than at the point before")
-            self._lay(min(2 * self.substeps, MOST_SUBSTEPS))
+            # a state beyond all numbers tells no feedback
+            self._lay(min((_JUMP if lost else 2) * self.substeps, MOST_SUBSTEPS))
         self._begun = True
         self._next = max(self._least, self.substeps // _LONGER) if feedback < _EASY else self.substeps
         value = self._outputs(steps, matrices, z)

@@ -414,3 +414,22 @@ def test_a_slot_on_the_wrong_side_is_refused_where_some_states_have_no_equations
     b.output("h", level, unit="m")
     with pytest.raises(EffectError, match="acts the other way round"):
         b.model().with_effect(ce.effects.LoadStep(), at="tank")
+
+
+@pytest.mark.parametrize("rate", [False, True])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_side_of_a_slot_that_moves_the_twist_itself(rate, sign):
+    # a spring and a damper without mass: the slot stands in the first derivative of the twist, not in the second
+    b = ce.Blueprint("dashpot")
+    k, c = b.parameter("k", 50.0, unit="N/m", min=0), b.parameter("c", 3.0, unit="N s/m", min=1e-3)
+    x, force = b.state("x", unit="m"), b.input("F", unit="N")
+    signals = {"twist": x, "stiffness": k} | ({"twist_rate": (force - k * x) / c} if rate else {})
+    slot = b.port("spring", "coupling", signals)
+    b.ode("x", (force - k * x - sign * slot) / c)
+    b.output("x_m", x, unit="m")
+    effect = ce.effects.library("backlash")[0]
+    if sign > 0:
+        assert b.model().with_effect(effect, at="spring").effects
+        return
+    with pytest.raises(EffectError, match="acts the other way round"):
+        b.model().with_effect(effect, at="spring")

@@ -122,3 +122,36 @@ def test_a_fresh_record_is_judged_by_the_same_steps(fit, data):
     step[k] = 1e-4
     foretold = (shots.residuals(x + step) - shots.residuals(x - step)) / 2e-4
     assert np.linalg.norm(slopes[:, k] - foretold) < 0.02 * np.linalg.norm(foretold)
+
+
+def test_a_law_whose_steps_leave_all_numbers_is_followed_by_shorter_ones():
+    # at one step to a sample the drag is eleven times as stiff as an explicit step can follow, and overflows
+    b = ce.Blueprint("lung")
+    e = b.parameter("E", 25.98, unit="mbar/L", min=2, max=200)
+    r = b.parameter("R", 6.4, unit="mbar s/L", min=0, max=200)
+    flow, volume = b.state("F", unit="L/s", scale=0.5), b.state("V", unit="L", scale=0.5)
+    pressure = b.input("P", unit="mbar")
+    tube = b.port("tube", "inertia", {"speed": flow})
+    b.ode(
+        "F", (pressure - e * volume - r * flow + tube) / b.parameter("I", 0.035, unit="mbar s2/L", vary=False)
+    )
+    b.ode("V", flow)
+    b.output("flow", 60 * flow, unit="L/min")
+    t = np.arange(0, 8, 0.02)
+    given = np.interp(t, [0.3, 0.42, 1.5, 1.62, 4, 4.12, 5, 5.12], [0, 20, 20, 0, 0, 14, 14, 0])
+
+    def rate(now, z):
+        loss = 6.5 * z[0] + 9 * abs(z[0]) * z[0]
+        return [(np.interp(now, t, given) - 26 * z[1] - loss) / 0.035, z[0]]
+
+    z = solve_ivp(rate, t[[0, -1]], [0, 0], t_eval=t, method="Radau", rtol=1e-9, atol=1e-11, max_step=0.02).y
+    seen = 60 * z[0] + 0.8 * np.random.default_rng(0).standard_normal(len(t))
+    data = ce.Experiment.from_arrays(
+        "breath", time=t, units={"P": "mbar", "flow": "L/min"}, P=given, flow=seen
+    )
+    drag = ce.effects.library("quadratic_drag")[0]
+    model = b.model().with_effect(drag, at="tube", values={"coefficient": 9.12})
+    fit = ce.estimate(model, data, progress=False)
+    assert fit.status == "converged"
+    for name, value in {"E": 26.0, "R": 6.5, "tube.quadratic_drag.coefficient": 9.0}.items():
+        assert abs(fit.values[name] - value) < 4 * fit.stderr[name]
