@@ -18,8 +18,9 @@ from casadi_engine.model.declarations import Port, Ports, Variable
 from casadi_engine.model.lags import with_delays
 from casadi_engine.model.late_inputs import earlier
 from casadi_engine.model.linearity import affine_parts, is_affine
+from casadi_engine.model.port_side import check_side
 from casadi_engine.model.rates import with_rates
-from casadi_engine.model.term import Term, check_side, read_term, takes_torque
+from casadi_engine.model.term import Term, read_term, takes_torque
 
 if TYPE_CHECKING:
     from casadi_engine.model.model import Model

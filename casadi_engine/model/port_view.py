@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import EffectError
 from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.model.declarations import ParameterDeclaration, Port
+from casadi_engine.model.port_side import acts_right
 from casadi_engine.model.rates import shows_at_once
 from casadi_engine.parameters import near_matches
 
@@ -175,7 +176,8 @@ class PortView:
             return ""
         symbol = self._model.channels[known.index(name)]
         ports = [one for one in self._model.ports.with_slot if one.kind in kinds]
-        return next((one.name for one in ports if _is_constant(self._model, one, symbol)), "")
+        same = (one for one in ports if _is_constant(self._model, one, symbol))
+        return next((one.name for one in same if acts_right(self._model, one)), "")
 
     @property
     def in_engine(self) -> bool:

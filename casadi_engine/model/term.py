@@ -17,6 +17,7 @@ from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import ParameterDeclaration, Port
 from casadi_engine.model.law_checks import OwnState, check_null, check_symbols, check_units, read_law
 from casadi_engine.model.paths import is_further
+from casadi_engine.model.port_side import check_side
 from casadi_engine.model.port_view import MissingSignalError, PortView, TrialView, Values
 from casadi_engine.parameters import near_matches
 
@@ -89,62 +90,6 @@ def not_applicable_because(effect: Any, port: Port, fault: EffectError) -> NotAp
         return NotApplicable(effect.name, port.name, fault.missing, fault.has, why)
     why = fault.problem if fault.seen is None else f"{fault.problem} ({fault.seen})"
     return NotApplicable(effect.name, port.name, (), tuple(port.signals), why)
-
-
-# States at which the side of a slot is tried, in their scales.
-_TRIED = (0.3, 0.7, -0.7, 7.0, 70.0, 700.0)
-
-
-def check_side(model: Model, port: Port) -> None:
-    """Raise EffectError where the slot of a port acts the other way round: friction would drive.
-
-    What acts in an inertia's slot must raise its speed; in a coupling's, pull the twist back. Tried at the start values
-    of the parameters, without the effects that are attached: a mass that a search has made negative is no fault of the
-    slot; and over decades of the states: where it hangs on them, as a compliance on a pressure, nothing is known.
-    """
-    if port.slot is None or port.kind not in ("inertia", "coupling"):
-        return
-    sign = 1 if port.kind == "inertia" else -1
-    signals = ("speed",) if port.kind == "inertia" else ("twist", "twist_rate")
-    signal = next((name for name in signals if name in port.signals), None)
-    if signal is None:
-        return
-    slope = ca.Function(
-        "slope",
-        [model.x, model.u, model.d, model.w, model.t, model.p],
-        [_first_slope(model, port, port.signals[signal])],
-        {"allow_free": True},
-    )
-    if slope.get_free():
-        return
-    of_effects = tuple(f"{one.at}.{one.effect.name}." for one in model.effects)
-    values = np.array(
-        [0.0 if of_effects and one.name.startswith(of_effects) else one.value for one in model.declarations]
-    )
-    found = []
-    for share in _TRIED:
-        x = np.array([share * variable.scale for variable in model.states])
-        found.append(float(slope(x, 0, 0, 0, 0.0, values)))
-    known = [one for one in found if math.isfinite(one)]
-    if known and all(sign * one < 0 for one in known):
-        raise EffectError(
-            f"the slot of the port {port.name} acts the other way round: friction there would drive",
-            seen=f"a positive torque or force in it {'slows' if sign > 0 else 'widens'} {signal}",
-            allowed="one that raises the speed of an inertia, and pulls back the twist of a coupling",
-            cure=f"exchange the sign of the slot of {port.name} in the ode (and of its law, if it has one), or of "
-            f"the signal {signal}",
-        )
-
-
-def _first_slope(model: Model, port: Port, moved: ca.SX) -> ca.SX:
-    """By how much the slot of a port moves the lowest derivative of a signal that it moves at all: the second one of
-    the twist between two masses, the first where a damper stands between its ends alone."""
-    ode = ca.substitute(model.ode, model.d, ca.SX.zeros(model.d.shape))
-    for _ in range(2):
-        moved = ca.jtimes(moved, model.x, ode)
-        if ca.depends_on(moved, port.slot):
-            break
-    return ca.jacobian(moved, port.slot)
 
 
 def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:

@@ -11,7 +11,8 @@ import casadi_engine as ce
 from casadi_engine.discrepancy import screen
 from casadi_engine.effects import Amplitude
 from casadi_engine.errors import EffectError
-from casadi_engine.model.term import NotApplicable, check_side, ports_for
+from casadi_engine.model.port_side import check_side
+from casadi_engine.model.term import NotApplicable, ports_for
 from casadi_engine.report.result_file import to_result
 from casadi_engine.report.schema import faults
 from tests.quick import few
