@@ -258,6 +258,14 @@ def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
     return replace(fit, messages=(words, *fit.messages))
 
 
+def with_cut_corners(fit: Fit) -> Fit:
+    """The last fit with sharper corners than those before, of a search whose time was up; with a message."""
+    widths = [one.width for one in (*fit.model.effects, *fit.model.corners) if one.width in fit.parameters]
+    names = ", ".join(f"{name} = {fit.parameters[name].value:.2g}" for name in widths)
+    words = f"{ROUNDED}, maybe: the time was up before sharper ones were tried ({names})"
+    return replace(fit, messages=(words, *fit.messages))
+
+
 def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
     """Name -> the effect's attachment or the rounded jump, of widths that are as the model declares them."""
     declared = {one.name: one.value for one in model.declarations}

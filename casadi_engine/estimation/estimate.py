@@ -18,7 +18,7 @@ from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.aliased import aliased
 from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.behind_a_bound import told_from_their_bounds
-from casadi_engine.estimation.corner_widths import follow_motion, from_wide_corners
+from casadi_engine.estimation.corner_widths import follow_motion, from_wide_corners, with_cut_corners
 from casadi_engine.estimation.cut_short import GIVEN_UP, MANY, in_time
 from casadi_engine.estimation.faulty_samples import faults
 from casadi_engine.estimation.fit import Fit
@@ -268,13 +268,19 @@ def _gone_on(fit: Fit, run: Callable[[dict[str, Any]], Fit]) -> Fit:
 
 def _with_sharp_corners(fit: Fit, arguments: Mapping[str, Any], run: Callable[[dict[str, Any]], Fit]) -> Fit:
     """The fit with corners as sharp as the motion asks, as far as time allows."""
-    interval = arguments["interval"]
+    interval, reached = arguments["interval"], [fit]
 
     def again(pars: Parameters, warm: Fit, length: int) -> Fit:
         interval_of = length if interval == "auto" else interval
-        return run({"parameters": pars, "warm": warm, "interval": interval_of, "approach": "direct"})
+        found = run({"parameters": pars, "warm": warm, "interval": interval_of, "approach": "direct"})
+        if found.converged:
+            reached.append(found)
+        return found
 
-    return in_time(lambda: follow_motion(fit, arguments["parameters"], again), lambda: fit)
+    def so_far() -> Fit:
+        return fit if reached[-1] is fit else with_cut_corners(reached[-1])
+
+    return in_time(lambda: follow_motion(fit, arguments["parameters"], again), so_far)
 
 
 def _searched(
