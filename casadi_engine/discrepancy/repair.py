@@ -518,8 +518,8 @@ class _Job:
         sharper ones were reached; 0 where they are sharp."""
         if not any(words.startswith(ROUNDED) for words in fit.messages):
             return 0.0
-        rounded = [one.width for one in (*fit.model.effects, *fit.model.corners) if one.width]
-        widths = {name: fit.parameters[name].value for name in rounded}
+        rounded = [one.width for one in fit.model.effects] + [one.width for one in fit.model.corners]
+        widths = {name: fit.parameters[name].value for name in rounded if name}
         with suppress(CasadiEngineError, FloatingPointError):
             return felt_by(fit, widths)
         return 0.0

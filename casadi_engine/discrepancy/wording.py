@@ -14,6 +14,7 @@ from casadi_engine.discrepancy.constant_inputs import constant_inputs
 from casadi_engine.discrepancy.exchanged_units import exchanges
 from casadi_engine.estimation.summary import BOUND_WORDS, count, number, with_error
 from casadi_engine.experiment.units import NOT_STATED
+from casadi_engine.model.port_side import TURNED
 from casadi_engine.model.port_units import is_speed
 
 if TYPE_CHECKING:
@@ -126,14 +127,22 @@ def is_blind(repair: Repair) -> bool:
 
 def _why_blind(repair: Repair) -> str:
     without = bool(port_cure(repair.null_fit.model))
-    ports = "The model has no port at which a physical effect can act"
-    return (
-        ports if without else "No effect of the library can act at the ports of the model, which lack signals"
-    )
+    if without:
+        return "The model has no port at which a physical effect can act"
+    if turned := _turned_ports(repair):
+        return f"No effect can act at {' and '.join(turned)}, as friction would drive there"
+    return "No effect of the library can act at the ports of the model, which lack signals"
+
+
+def _turned_ports(repair: Repair) -> list[str]:
+    """The ports whose slots act the other way round."""
+    return list(dict.fromkeys(one.at for one in repair.not_applicable if TURNED in one.why))
 
 
 def _cure_blind(repair: Repair) -> str:
     model = repair.null_fit.model
+    if not port_cure(model) and (turned := _turned_ports(repair)):
+        return f"exchange the sign of the slot of {' and '.join(turned)} in the ode, or of the signal"
     lacks = next((one for one in repair.not_applicable if one.missing and one.at in model.ports.names), None)
     if port_cure(model) or lacks is None:
         return f"give it one: {port_cure(model)}" if port_cure(model) else "give the ports what laws read"

@@ -99,9 +99,10 @@ class _Beyond(Effect):
 
 @dataclass(frozen=True)
 class Relief(_Beyond):
-    """What runs off above an edge, rate (level − edge): over a weir, or through a relief valve.
+    """What runs off above an edge, rate (level − edge): over a weir, through a relief valve, past a kidney's threshold.
 
-    It is looked for where a pressure or a level is read; what runs over into another vessel is an overflow.
+    It is looked for where a pressure, a level or a concentration is read; what runs over into another vessel is an
+    overflow.
 
     >>> Relief().describe("tank")
     'what runs off at tank above an edge, as over a weir or through a relief valve'
@@ -117,9 +118,11 @@ class Relief(_Beyond):
         return Amplitude("rate", "N m s/rad", 0.0, _math.inf if self.most is None else self.most)
 
     def idle(self, port: Any) -> str:
-        """Of a pressure or a level alone."""
-        known = port.is_head("speed")
-        return "" if known else "no pressure and no level is read there that could be above an edge"
+        """Of a pressure, a level or a concentration alone."""
+        known = port.is_head("speed") or port.is_concentration("speed")
+        return (
+            "" if known else "no pressure, level or concentration is read there that could be above an edge"
+        )
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """−rate (level − edge) where that is positive."""

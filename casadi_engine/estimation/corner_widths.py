@@ -260,7 +260,8 @@ def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
 
 def with_cut_corners(fit: Fit) -> Fit:
     """The last fit with sharper corners than those before, of a search whose time was up; with a message."""
-    widths = [one.width for one in (*fit.model.effects, *fit.model.corners) if one.width in fit.parameters]
+    rounded = [one.width for one in fit.model.effects] + [one.width for one in fit.model.corners]
+    widths = [name for name in rounded if name in fit.parameters]
     names = ", ".join(f"{name} = {fit.parameters[name].value:.2g}" for name in widths)
     words = f"{ROUNDED}, maybe: the time was up before sharper ones were tried ({names})"
     return replace(fit, messages=(words, *fit.messages))

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# What is said of a slot that does not act the right way round.
+TURNED = "acts the other way round"
 # States at which the side of a slot is tried, in their scales.
 _TRIED = (0.3, 0.7, -0.7, 7.0, 70.0, 700.0)
 
@@ -38,7 +40,7 @@ def check_side(model: Model, port: Port) -> None:
     signal = _wrong_signal(model, port)
     if signal is not None:
         raise EffectError(
-            f"the slot of the port {port.name} acts the other way round: friction there would drive",
+            f"the slot of the port {port.name} {TURNED}: friction there would drive",
             seen=f"a positive torque or force in it {'slows' if port.kind == 'inertia' else 'widens'} {signal}",
             allowed="one that raises the speed of an inertia, and pulls back the twist of a coupling",
             cure=f"exchange the sign of the slot of {port.name} in the ode (and of its law, if it has one), or of "

@@ -19,7 +19,8 @@ from casadi_engine.parameters import near_matches
 # Dimensions of what drives a flow: a level, a pressure.
 _HEADS = ("m", read_unit("Pa").dimension)
 # Dimensions of what is between that of two streams where they mix: a temperature, a concentration.
-_MIXED = ("K", *(read_unit(unit).dimension for unit in ("mol/m3", "kg/m3", "1/m3", "mol/kg")))
+_CONTENTS = tuple(read_unit(unit).dimension for unit in ("mol/m3", "kg/m3", "1/m3", "mol/kg"))
+_MIXED = ("K", *_CONTENTS)
 # An SX scalar -> its values (N,) along every record.
 Courses = Callable[[Any], Sequence[NDArray[np.float64]]]
 
@@ -92,6 +93,11 @@ class PortView:
         """True if the unit of a signal is one of temperature."""
         unit = self._port.units.get(signal)
         return unit is not None and read_unit(unit).dimension == "K"
+
+    def is_concentration(self, signal: str) -> bool:
+        """True if a signal is a concentration."""
+        unit = self._port.units.get(signal, NOT_STATED)
+        return unit != NOT_STATED and read_unit(unit).dimension in _CONTENTS
 
     def is_mixed(self, signal: str) -> bool:
         """True if a signal is a temperature or a concentration: where two streams mix, it lies between theirs."""

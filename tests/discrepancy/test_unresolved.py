@@ -14,11 +14,10 @@ module = importlib.import_module("casadi_engine.discrepancy.repair")  # the func
 
 def felt(monkeypatch, *, told=True):
     """What corners are felt by, and of which widths that was asked."""
-    friction = stub(width="pivot.coulomb_friction.width")
-    parameters = {friction.width: stub(value=0.1)}
-    fit = stub(
-        messages=(f"{ROUNDED} (...)",) if told else (), model=stub(effects=(friction,)), parameters=parameters
-    )
+    friction, jump = stub(width="pivot.coulomb_friction.width"), stub(width="v.jump.width")
+    parameters = {friction.width: stub(value=0.1), jump.width: stub(value=0.2)}
+    model = stub(effects=(friction, stub(width="")), corners=(jump,))
+    fit = stub(messages=(f"{ROUNDED} (...)",) if told else (), model=model, parameters=parameters)
     asked = []
 
     def felt_by(own, widths):
@@ -30,7 +29,7 @@ def felt(monkeypatch, *, told=True):
 
 
 def test_corners_are_asked_for_where_the_fit_says_that_they_are_felt(monkeypatch):
-    assert felt(monkeypatch) == (900.0, [{"pivot.coulomb_friction.width": 0.1}])
+    assert felt(monkeypatch) == (900.0, [{"pivot.coulomb_friction.width": 0.1, "v.jump.width": 0.2}])
     assert felt(monkeypatch, told=False) == (0.0, [])
 
 

@@ -175,3 +175,19 @@ def test_candidates_of_events_are_named_with_their_time(cart):
         made = SimpleNamespace(effect=ce.effects.LoadStep(), model=model)
         one = Candidate("load_step", "cart", {}, {"time": 9.0}, source=made)
         assert one.label == f"load_step at cart (time {'0.15 min' if clock == 'min' else '9'})"
+
+
+def test_a_slot_that_acts_the_other_way_round_is_said_where_nothing_could_be_looked_for():
+    b = ce.Blueprint("sledge")
+    c, force = b.parameter("c", 3.0, unit="kg/s", min=1e-3), b.input("F", unit="N")
+    v, mass = b.state("v", unit="m/s"), b.parameter("m", 2.0, unit="kg", vary=False)
+    b.ode("v", (force - c * v - b.port("runner", "inertia", {"speed": v})) / mass)
+    b.output("v_m", v, unit="m/s")
+    t = np.arange(0, 4, 0.02)
+    pushed = 20 * np.sin(3 * t) + 5 * np.sin(7.1 * t)
+    seen = 0.3 * np.sin(2 * t) + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    record = ce.Experiment.from_arrays("push", time=t, units={"F": "N", "v_m": "m/s"}, F=pushed, v_m=seen)
+    found = ce.repair(b.model(), record, budget=10, progress=False)
+    said = " ".join(str(found).split())
+    assert "No effect can act at runner, as friction would drive there" in said
+    assert "exchange the sign of the slot of runner in the ode, or of the signal" in said

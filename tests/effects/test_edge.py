@@ -131,7 +131,7 @@ def test_where_no_place_is_shown_there_is_no_stop():
     skipped = []
     assert ce.effects.candidates(b.model(), [EndStop(), Relief()], run, skipped=skipped) == ()
     assert [(one.effect, one.why) for one in skipped] == [
-        ("relief", "no pressure and no level is read there that could be above an edge")
+        ("relief", "no pressure, level or concentration is read there that could be above an edge")
     ]
     with pytest.raises(EffectError, match="end_stop cannot act at the port rotor, which has no signal angle"):
         b.model().with_effect(EndStop(), at="rotor")

@@ -4,6 +4,7 @@ The truth is an event-driven shaft in closed form: under constant torques its sp
 sticks at 0 while the torque is below Tf.
 """
 
+import importlib
 import re
 from dataclasses import replace
 from functools import cache
@@ -14,9 +15,18 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.estimation.corner_widths import FELT, Motion, cost_along, follow_motion, paths_of
+from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.estimation.corner_widths import (
+    FELT,
+    Motion,
+    cost_along,
+    follow_motion,
+    paths_of,
+    with_widths,
+)
 from casadi_engine.estimation.integration import SHIFT
 
+estimate = importlib.import_module("casadi_engine.estimation.estimate")  # the function has the same name
 J, TF = 0.1, 2.0
 TORQUE, WIDTH = "axis.coulomb_friction.torque", "axis.coulomb_friction.width"
 # until when [s] which torque acts [N m]: held, run up, stop, held the other way, run up, through 0 and on
@@ -223,3 +233,19 @@ def test_a_fit_whose_motion_cannot_be_simulated_stays_and_says_so(swung, monkeyp
     assert found.messages[1:] == fit.messages
     assert "corners are rounded as they were declared (" in found.messages[0]
     assert "whether the data feel that is not known" in found.messages[0]
+
+
+def test_corners_stay_as_sharp_as_they_were_made_when_the_time_was_up(monkeypatch):
+    model = shaft().with_effect(ce.effects.CoulombFriction(), at="axis", values={"torque": 1.8})
+    wide = model.parameters()[WIDTH].value
+
+    def cut(fit, pars, again):
+        again(with_widths(pars, {WIDTH: wide / 3}), fit, 2)
+        raise TimeUp
+
+    monkeypatch.setattr(estimate, "follow_motion", cut)
+    with Deadline(100.0, best=True):
+        fit = ce.estimate(model, record(100, 0.01), noise=ce.Noise(speed=0.01), progress=False)
+    assert fit.converged
+    assert fit.parameters[WIDTH].value == wide / 3
+    assert f"the time was up before sharper ones were tried ({WIDTH} = " in fit.messages[0]
