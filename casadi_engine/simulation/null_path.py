@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -30,6 +31,8 @@ _CUBIC = 1e-4
 _OTHER = 1e-3
 # Parts that a cell is cut into where it is more, and points of a path for each of the record's at most.
 _PARTS, _MOST = 4, 8
+# Numbers of states that are kept at most, 2 MB.
+_LARGE = 250_000
 # Cells longer than this many means are holes in a record: laws move there too.
 _HOLE = 4.0
 
@@ -121,7 +124,34 @@ class NullPath:
         return ArrayFunction(inputs, [ca.cse(stacked)])
 
 
+# The last paths, the newest first: what one structure is asked about asks for the same path several times over.
+_KEPT: deque[tuple[Model, Grid, Array, Array, int | None, NullPath]] = deque(maxlen=4)
+
+
 def null_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | None = None) -> NullPath:
+    """As ``simulated_path``; one that was made a moment ago is not made again."""
+    p, start = np.array(p, dtype=float), np.array(start, dtype=float)
+    for of, laid, at, begun, by, path in _KEPT:
+        same = of is model and by == steps and np.array_equal(at, p) and np.array_equal(begun, start)
+        if same and (laid is grid or _are_alike(laid, grid)):
+            return path
+    found = simulated_path(model, grid, p, start, steps=steps)
+    if found.x.size <= _LARGE:
+        _KEPT.appendleft((model, grid, p, start, steps, found))
+    return found
+
+
+def _are_alike(one: Grid, other: Grid) -> bool:
+    """True of two grids of one record that were laid at different times."""
+    if (one.holds, one.parts) != (other.holds, other.parts) or one.measured.keys() != other.measured.keys():
+        return False
+    arrays = [(one.time, other.time), (one.channels, other.channels)]
+    arrays += [(own.values, other.measured[name].values) for name, own in one.measured.items()]
+    arrays += [(own.time, other.measured[name].time) for name, own in one.measured.items()]
+    return all(np.array_equal(a, b, equal_nan=True) for a, b in arrays)
+
+
+def simulated_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | None = None) -> NullPath:
     """Simulate a record at p : (np,) from the state ``start`` : (n,) at its first sample, by single shooting.
 
     steps : to a sample of an exponential integrator, as in the fit whose path this is; None for the fewest that are
@@ -130,7 +160,6 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | 
     where the states bend there; and so is one whose run is another one by steps of half the length.
     Raises FloatingPointError where the states are not finite.
     """
-    p, start = np.asarray(p, dtype=float), np.asarray(start, dtype=float)
     # equations that bend in the channels are read as lines between samples by a fit with a linear core, and so here
     timed = timed_drives(model) and is_affine(model.closed_ode, model.u, ca.SX(0, 1))
     if not grid.uniform or timed or switches_in_time(model):

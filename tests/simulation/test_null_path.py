@@ -1,5 +1,7 @@
 """The null path: the states along a record by the integrator that fits of the same model have."""
 
+import importlib
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -132,3 +134,37 @@ def test_friction_that_sticks_moves_as_it_does_by_shorter_steps():
     path = null_path(model, lay_grid(model, data), model.parameter_vector(), np.zeros(1), steps=1)
     shown = np.interp(time, path.grid.time, path.x[0])
     assert np.abs(shown - true).max() < 2e-3 * np.std(true)
+
+
+def test_a_path_that_was_made_a_moment_ago_is_not_made_again(monkeypatch):
+    module = importlib.import_module("casadi_engine.simulation.null_path")
+    made = []
+    own = module.simulated_path
+    monkeypatch.setattr(module, "simulated_path", lambda *a, **k: made.append(1) or own(*a, **k))
+    monkeypatch.setattr(module, "_KEPT", module._KEPT.copy())
+    b = ce.Blueprint("cup")
+    rate, warm = b.parameter("k", 0.2, unit="1/s"), b.state("T", unit="K")
+    b.ode("T", b.input("P", unit="K/s") - rate * warm)
+    b.output("T_seen", warm, unit="K")
+    model = b.model()
+    t = np.arange(40) * 0.5
+
+    def grid(power):
+        units = {"P": "K/s", "T_seen": "K"}
+        record = ce.Experiment.from_arrays("run", time=t, units=units, P=power, T_seen=0 * t)
+        return lay_grid(model, record)
+
+    at, start = np.array([0.2]), np.array([1.0])
+    first = module.null_path(model, grid(np.sin(t)), at, start)
+    assert module.null_path(model, grid(np.sin(t)), at.copy(), start.copy()) is first
+    others = [
+        (model, np.cos(t), at, start),
+        (model, np.sin(t), 2 * at, start),
+        (model, np.sin(t), at, 2 * start),
+    ]
+    for one, power, values, begun in others:
+        assert module.null_path(one, grid(power), values, begun) is not first
+    monkeypatch.setattr(module, "_LARGE", 0)
+    large = module.null_path(model, grid(np.tan(t)), at, start)
+    assert module.null_path(model, grid(np.tan(t)), at, start) is not large
+    assert len(made) == 6
