@@ -65,7 +65,8 @@ class FirstPoints(LaidProblem):
         for record, lay, bounds in zip(self.records, self.problem.layouts, self._initial, strict=True):
             nodes = self._warm_nodes(record, x[:nv]) if first else None
             if nodes is None:
-                nodes = nodes_from_measurement(record, self.pmap.unpack(z, record.experiment.name))
+                known = np.asarray(bounds[2] / record.scale, dtype=float)
+                nodes = nodes_from_measurement(record, self.pmap.unpack(z, record.experiment.name), known)
                 if fitted and isinstance(record.propagator, RungeKuttaPropagator):
                     nodes = fitted_nodes(record, x[:nv], nodes)
             low, high, given = (part / record.scale for part in bounds)

@@ -60,7 +60,7 @@ _OPTIONS = {
     "acceptable_tol": 1e-5,
     "acceptable_obj_change_tol": 1e-13,
     "acceptable_constr_viol_tol": 1e-8,
-    "acceptable_compl_inf_tol": 1e-8,
+    "acceptable_compl_inf_tol": 1.01e-8,  # that of the barrier that a search begins with, rounded or not
     "acceptable_dual_inf_tol": 1.0,
     "tiny_step_tol": 0.0,  # such steps are judged by that, too
     "bound_relax_factor": 0.0,

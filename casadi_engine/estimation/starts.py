@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 _SMOOTH = 4
 # Weight of the measured outputs against the wish for a quasi-steady state.
 _TRUST = 1e3
+# Times as much as it moves by typical states that an output moves by a state beside a pole.
+_POLE = 1e3
 # A step to a state whose outputs are not finite is halved this often at most.
 _HALVINGS = 10
 # Steps to the states that explain an interval, the fall of the misfit that ends them; the damping at first, its change;
@@ -36,11 +38,15 @@ _REACH = 3.0
 _NEAR, _FARTHER = 3, 3
 
 
-def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
+def nodes_from_measurement(record: RecordTerm, physical: Array, given: Array | None = None) -> Array:
     """Starts (M, n) of a record's intervals, scaled: the quasi-steady state that explains the measured outputs.
 
     For each interval the least-squares solution of C x = y (trusted) and dx/dt = 0 under the mean input; for a chain
-    of inertias that is equal speeds and the twists that carry the mean torque.
+    of inertias that is equal speeds and the twists that carry the mean torque. Where that is beside a pole of an
+    output, as what has all decayed is of a share, the nearest state to typical ones that explains the outputs.
+
+    given : (n,) scaled states that are known where the record begins, NaN elsewhere: others explain the outputs beside
+    them
     """
     model, scale = record.model, record.scale
     slope = ca.jacobian(model.closed_ode, model.x)
@@ -55,7 +61,7 @@ def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
     def parts(state: Array) -> list[Array]:
         return [np.asarray(part, dtype=float) for part in function(state, mean, 0.0, physical)]
 
-    guess = _first_guess(parts, scale)
+    guess = first = _first_guess(parts, scale)
     whole = _is_finite(parts(guess))  # else the outputs alone decide
     for _ in range(3):  # a nonlinear model needs a few steps; a linear one is done after the first
         a, c, f, g = parts(guess)
@@ -67,11 +73,62 @@ def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
         shorter = (step * 0.5**k for k in range(_HALVINGS))
         checked = slice(None) if whole else slice(1, None, 2)
         guess = guess + next((one for one in shorter if _is_finite(parts(guess + one)[checked])), 0.0 * step)
+    if model.linear is None and whole and _beside_a_pole(c, parts(first)[1], scale):
+        guess = _beside(parts, first, middle, scale, weights)
+        a, c = np.zeros_like(a), parts(guess)[1]
     offset = observed - middle[:, None]
     shift = _balanced(a, c, np.zeros(len(scale)), offset, scale, weights)
     if whole and model.linear is None:
         shift = _shortened(lambda states: function(states, mean, 0.0, physical), guess, shift)
-    return np.ascontiguousarray(((guess[:, None] + shift) / scale[:, None]).T)
+    nodes = np.ascontiguousarray(((guess[:, None] + shift) / scale[:, None]).T)
+    if given is not None and model.linear is None and whole and 0 < np.isfinite(given).sum() < len(given):
+        known = np.isfinite(given)
+        begins = [np.where(known, given * scale, one) for one in (nodes[0] * scale, first)]
+        ends = [_beside(parts, one, observed[:, 0], scale, weights, free=~known) for one in begins]
+        nodes[0] = min(ends, key=lambda one: _misfit(parts, one, observed[:, 0], weights)[-1]) / scale
+    return nodes
+
+
+def _beside_a_pole(c: Array, usual: Array, scale: Array) -> bool:
+    """True where states move an output so many times as much as typical states do."""
+    size, typical = (np.abs(slopes * scale).max(axis=1, initial=0.0) for slopes in (c, usual))
+    return bool((size > _POLE * typical)[typical > 0].any())
+
+
+def _beside(
+    parts: Callable[[Array], list[Array]],
+    state: Array,
+    wanted: Array,
+    scale: Array,
+    weights: Array,
+    free: NDArray[np.bool_] | None = None,
+) -> Array:
+    """The state (n,) near this one that explains the outputs (ny,), NaN where none was measured, by free ones;
+    no farther on than each step explains them better."""
+    c, left, cost = _misfit(parts, state, wanted, weights)
+    for _ in range(_NODE_STEPS):
+        slopes = c * scale / weights[:, None]
+        if free is not None:
+            slopes = slopes * free
+        if not np.isfinite(cost):
+            break
+        step = np.linalg.lstsq(slopes, left, rcond=1e-9)[0] * scale
+        ways = (state + 0.5**k * step for k in range(_HALVINGS))
+        tried = ((way, *_misfit(parts, way, wanted, weights)) for way in ways)
+        better = next((one for one in tried if one[-1] < cost), None)
+        if better is None:
+            break
+        state, c, left, cost = better
+    return state
+
+
+def _misfit(
+    parts: Callable[[Array], list[Array]], state: Array, wanted: Array, weights: Array
+) -> tuple[Array, Array, float]:
+    """Slopes of the outputs at a state (n,), what they leave of the wanted (ny,), weighted, and its squares."""
+    _, c, _, g = parts(state)
+    left = np.where(np.isfinite(wanted), wanted - g.ravel(), 0.0) / weights
+    return c, left, float(left @ left) if _is_finite([c, g]) else np.inf
 
 
 def _first_guess(parts: Callable[[Array], list[Array]], scale: Array) -> Array:
