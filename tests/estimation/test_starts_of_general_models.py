@@ -233,3 +233,29 @@ def test_an_output_that_is_a_product_of_states_says_nothing_of_them_at_zero():
     seen = 1e5 * 0.42 * z[0] * z[1] + 10 * np.random.default_rng(6).standard_normal(len(t))
     data = ce.Experiment.from_arrays("wave", time=86400 * t, units={"incidence": "1"}, incidence=seen)
     arrived(ce.estimate(b.model(), data, progress=False), {"beta": 0.42, "gamma": 0.16})
+
+
+@pytest.mark.parametrize(
+    ("made", "initial"),
+    [(False, {"B": 0.4}), (False, {"A": 1.0}), (True, {"A": 1.0}), (False, None)],
+    ids=str,
+)
+def test_a_share_of_what_decays_is_searched_away_from_its_pole(made, initial):
+    # the quasi-steady state of what decays is nothing at all, of which a share has no value
+    b = ce.Blueprint("share")
+    k = b.parameter("k", 1.0, unit="1/s", min=0, max=10)
+    one, other = b.state("A"), b.state("B")
+    b.ode("A", -k * one)
+    b.ode("B", k * one if made else -0.1 * other)
+    b.output("share", one / (one + other))
+    t = np.linspace(0, 8, 81)
+    left = np.exp(-0.7 * t)
+    beside = 1.4 - left if made else 0.4 * np.exp(-0.1 * t)
+    seen = left / (left + beside) + 0.01 * np.random.default_rng(0).standard_normal(len(t))
+    data = ce.Experiment.from_arrays("run", time=t, units={"share": "1"}, share=seen)
+    fit = ce.estimate(b.model(), data, initial=initial, progress=False)
+    assert fit.converged
+    assert fit.noise["share"][0] < 0.012
+    first = {name: one.value for name, one in fit.initial["run"].items()}
+    assert first["B"] / first["A"] == pytest.approx(0.4, abs=0.02)
+    assert fit.values["k"] == pytest.approx(0.7, abs=0.03)
