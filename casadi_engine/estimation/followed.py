@@ -33,7 +33,8 @@ def lost(fit: Fit) -> dict[str, float]:
 
 
 def _is_noise(fit: Fit, key: str) -> bool:
-    """True for a residual that is white as far as many samples tell, or as small as the noise that was stated."""
+    """True for a residual that is white as far as many samples tell, or as small as the noise that was stated, or as
+    what is left of records that are followed."""
     traces = {
         f"{record}/{name}": (name, one) for record, own in fit.traces.items() for name, one in own.items()
     }
@@ -44,5 +45,14 @@ def _is_noise(fit: Fit, key: str) -> bool:
     output, trace = traces[key]
     sigma, estimated = fit.noise[output]
     e = trace.residual[trace.mask]
-    stated = not estimated and float(np.mean(e**2)) <= _AS_STATED * sigma**2
-    return stated or len(e) >= _TELLS
+    size = float(np.mean(e**2)) / _AS_STATED
+    if len(e) >= _TELLS or (not estimated and size <= sigma**2):
+        return True
+    followed = traces.keys() - not_followed(fit).keys()
+    others = [
+        one.residual[one.mask]
+        for other, (name, one) in traces.items()
+        if name == output and other in followed
+    ]
+    known = np.concatenate([np.zeros(0), *others])
+    return len(known) >= len(e) and size <= float(np.mean(known**2))
