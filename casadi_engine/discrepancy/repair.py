@@ -581,13 +581,15 @@ def _not_searched(search: Choice, made: Repair) -> tuple[str, ...]:
 
 
 def _largest(model: Model, records: Sequence[Experiment]) -> dict[str, float]:
-    """State -> its largest magnitude in these records, of those that an output shows as they are."""
+    """State or input -> its largest magnitude in these records, of the states that an output shows as they are."""
+    outputs = zip(model.outputs, ca.vertsplit(model.output_expressions), strict=True)
+    shown = {out.name: str(value) for out, value in outputs if value.is_symbolic()}
     found: dict[str, float] = {}
-    for out, value in zip(model.outputs, ca.vertsplit(model.output_expressions), strict=True):
-        courses = [np.abs(record[out.name].values) for record in records if out.name in record]
+    for channel, name in [*shown.items(), *((one.name, one.name) for one in model.inputs)]:
+        courses = [np.abs(record[channel].values) for record in records if channel in record]
         seen = [course[np.isfinite(course)] for course in courses]
-        if value.is_symbolic() and any(course.size for course in seen):
-            found[str(value)] = float(max(course.max() for course in seen if course.size))
+        if any(course.size for course in seen):
+            found[name] = float(max(course.max() for course in seen if course.size))
     return found
 
 

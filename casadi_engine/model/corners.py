@@ -37,7 +37,7 @@ class Corner:
 def with_rounded_jumps(model: Model, largest: Mapping[str, float] | None = None) -> Model:
     """The model with corners in place of what jumps with its states; itself where nothing does.
 
-    largest : state -> its largest magnitude, where that is known; else its scale is taken
+    largest : state or input -> its largest magnitude, where that is known; else the scale of a state is taken
 
     Jumps at instants in time, and at whole numbers (floor, remainder), stay as they are.
 
@@ -75,7 +75,8 @@ class _Rounding:
 
     def __init__(self, model: Model, held: Held, largest: Mapping[str, float]) -> None:
         self._model = model
-        self._sizes = np.array([largest.get(state.name, 0.0) or state.scale for state in model.states])
+        states = [largest.get(state.name, 0.0) or state.scale for state in model.states]
+        self._sizes = np.array([*states, *(largest.get(one.name, 0.0) for one in model.inputs)])
         self.widths: list[Any] = []
         self.declarations: list[ParameterDeclaration] = []
         self.corners: list[Corner] = []
@@ -101,7 +102,8 @@ class _Rounding:
         width = ca.SX.sym(f"{stem}{WIDTH}")
         known = ca.vertcat(model.w, *self.widths)
         numbers = [0.0] * model.w.numel() + [one.value for one in self.declarations]
-        slopes = ca.jacobian(ca.substitute(signal, known, ca.DM(numbers)), model.x)
+        seen = ca.substitute(ca.substitute(signal, known, ca.DM(numbers)), model.d, model.drive_expressions)
+        slopes = ca.jacobian(seen, ca.vertcat(model.x, model.u))
         inputs = [model.x, model.u, model.d, model.t, model.p]
         at = [1.0, 0.0, 0.0, 0.0, ca.DM([one.value for one in model.declarations])]
         size = np.abs(

@@ -23,7 +23,7 @@ def seconds_in(time_unit: Any) -> float:
         raise ModelError(
             "the time unit of a blueprint is not a unit of time",
             seen=repr(time_unit),
-            allowed="s, ms, min, h, d",
+            allowed="ns, us, ms, s, min, h, d",
             cure='write Blueprint("name", time_unit="h") for odes that are per hour',
         )
     times, over, _ = found.steps_to(read_unit("s"))
@@ -103,7 +103,7 @@ def refuse_other_clocks(name: str, entering: Sequence[Variable | ParameterDeclar
             raise ModelError(
                 f"is the time of the model {name} in s or in {clocks[0]}? It was not stated",
                 seen=f"{item.name} in {item.unit}; without time_unit an ode is a rate per second",
-                allowed="time_unit=... of the Blueprint: s, ms, min, h, d",
+                allowed="time_unit=... of the Blueprint: ns, us, ms, s, min, h, d",
                 cure=f'write Blueprint("{name}", time_unit="{clocks[0]}") if the odes are per {clocks[0]}, or '
                 f'time_unit="s" if they are per second and convert {item.name} themselves',
             )

@@ -311,6 +311,6 @@ def _finite(name: str, value: Any) -> float:
             f"the value of the parameter {name} is not acceptable",
             seen=repr(value),
             allowed="a finite number",
-            cure="give one number, in the parameter's SI unit",
+            cure="give one number, in the unit of the parameter",
         )
     return number

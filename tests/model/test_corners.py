@@ -1,5 +1,7 @@
 """Jumps of the equations that are rounded."""
 
+import importlib
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -104,3 +106,22 @@ def test_friction_beside_a_rounded_sign_is_no_constant_torque():
     pushed.output("v", v, unit="m/s")
     model = pushed.model()
     assert PortView(model, model.ports["slide"], free=("force",)).has_free_constant
+
+
+def test_what_drives_a_corner_counts_in_its_width():
+    # a mass on a belt is slow where it is seen, and slides as fast as the belt
+    b = ce.Blueprint("belt")
+    v, belt = b.state("v", unit="m/s", scale=0.1), b.input("v_belt", unit="m/s")
+    b.ode("v", -b.parameter("F", 3.0, unit="m/s2") * ca.sign(v - belt))
+    b.output("v_seen", v, unit="m/s")
+    model = b.model()
+    assert with_rounded_jumps(model).declarations[-1].value == pytest.approx(5e-4)
+    known = with_rounded_jumps(model, {"v_belt": 0.25})
+    assert known.declarations[-1].value == pytest.approx(5e-3 * 0.35, rel=0.05)  # in two digits
+    repair = importlib.import_module("casadi_engine.discrepancy.repair")
+    units = {"v_belt": "m/s", "v_seen": "m/s"}
+    t = np.arange(4.0)
+    record = ce.Experiment.from_arrays(
+        "run", time=t, units=units, v_belt=-0.1 * t, v_seen=[0.0, np.nan, -0.2, 0.1]
+    )
+    assert repair._largest(model, [record]) == pytest.approx({"v": 0.2, "v_belt": 0.3})

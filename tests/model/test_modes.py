@@ -90,7 +90,12 @@ def test_modes_are_numbered_from_one(number):
         ),
         (
             {"J_eng": math.nan},
-            ("the value of the parameter J_eng", "seen: nan", "a finite number", "SI unit"),
+            (
+                "the value of the parameter J_eng",
+                "seen: nan",
+                "a finite number",
+                "in the unit of the parameter",
+            ),
         ),
         ({"J_eng": "heavy"}, ("the value of the parameter J_eng", "seen: 'heavy'")),
     ],
