@@ -57,7 +57,7 @@ def _wrong_signal(model: Model, port: Port) -> str | None:
     if signal is None:
         return None
     moved, sign = port.signals[signal], 1 if port.kind == "inertia" else -1
-    # of an inertia: by each state that its slot moves, so that a fall by one that is taken back is told
+    # what each state does to the signal, and the slot to each state
     ways = [ca.jacobian(moved, model.x), ca.jacobian(_at_rest(model), port.slot)]
     slope = ca.Function(
         "slope",
@@ -76,20 +76,17 @@ def _wrong_signal(model: Model, port: Port) -> str | None:
     known = [slope for slope in (float(one[0].item()) for one in found) if math.isfinite(slope)]
     if not known or not all(sign * one < 0 for one in known):
         return None
-    driven = port.kind == "inertia" and ca.depends_on(moved, model.u)
-    if driven and all((by[0] <= 0).all() and (push[:, 0] >= 0).all() for _, by, push in _moved(found)):
+    driven = port.kind == "inertia" and ca.depends_on(moved, ca.vertcat(model.u, model.d))
+    if driven and all(_is_taken_back(by[0], push[:, 0]) for _, by, push in found):
         return None
     return signal
 
 
-def _moved(found: list[list[Array]]) -> list[tuple[Array, Array, Array]]:
-    """Slope of the signal, and by and push of the states that the slot moves at once, where all are numbers."""
-    rows = []
-    for slope, by, push in found:
-        at = push[:, 0] != 0
-        if np.isfinite(by).all() and np.isfinite(push).all():
-            rows.append((slope, by[:, at], push[at]))
-    return rows
+def _is_taken_back(by: Array, push: Array) -> bool:
+    """True if the slot raises states (n,) and these lower the signal; or where that is not known."""
+    at = push != 0
+    known = np.isfinite(by).all() and np.isfinite(push).all()
+    return not known or bool((by[at] <= 0).all() and (push[at] >= 0).all())
 
 
 def _at_rest(model: Model) -> ca.SX:

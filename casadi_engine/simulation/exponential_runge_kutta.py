@@ -36,6 +36,8 @@ _STRONGEST, _EASY, _LONGER = 1.0, 0.2, 4
 # Feedback of the shortest steps above which the scheme is not stable: where that of Runge and Kutta's of fourth order
 # ends on the real axis.
 _UNSTABLE = 2.785
+# Times its scale beyond which a state has run away.
+_RUN_AWAY = 1e6
 # A point that asks for more than so many times the steps of the point before it is not worth them: it is refused, and
 # the search comes nearer by a shorter step.
 _JUMP = 16
@@ -215,7 +217,7 @@ class ExponentialPropagator:
             if self.substeps >= MOST_SUBSTEPS and feedback > _UNSTABLE:
                 self.stiff = True
                 raise TooStiff("the laws answer faster than the shortest integration steps can follow")
-            lost = not (self._begun or self.most < MOST_SUBSTEPS or np.isfinite(steps.end).all())
+            lost = not self._begun and self.most >= MOST_SUBSTEPS and self._has_run_away(steps)
             if self.substeps >= MOST_SUBSTEPS or (feedback <= _STRONGEST and not lost):
                 break
             if self.most < MOST_SUBSTEPS and self.substeps * feedback > self.most * _STRONGEST:
@@ -266,6 +268,14 @@ class ExponentialPropagator:
         if not np.isfinite(gain).all():
             return 0.0
         return float(np.abs(np.linalg.eigvals(np.abs(last) @ gain)).max())
+
+    def _has_run_away(self, steps: Steps) -> bool:
+        """True where states leave all numbers by growing, as of steps that are too long: where an equation has no value
+        they are none at once."""
+        if np.isfinite(steps.end).all():
+            return False
+        x = steps.columns[:, : self.n]
+        return bool(np.abs(x, where=np.isfinite(x), out=np.zeros_like(x)).max(initial=0.0) > _RUN_AWAY)
 
     def _outputs(self, steps: Steps, matrices: StepMatrices, z: Array) -> Array:
         """(ny, L, M) outputs."""

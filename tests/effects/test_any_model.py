@@ -434,3 +434,38 @@ def test_side_of_a_slot_that_moves_the_twist_itself(rate, sign):
         return
     with pytest.raises(EffectError, match="acts the other way round"):
         b.model().with_effect(effect, at="spring")
+
+
+def test_a_speed_that_follows_what_drives_it_at_once_says_nothing_of_the_side():
+    # a motor whose coil has no inductance: a voltage in its circuit raises the current, which falls as the motor turns
+    b = ce.Blueprint("motor")
+    k, r = b.parameter("k", 0.05, unit="V s/rad", min=0), b.parameter("R", 0.6, unit="ohm", min=0.01)
+    w, volts = b.state("w", unit="rad/s", scale=100), b.input("U", unit="V")
+    drop = b.port("armature", "inertia", {"speed": (volts - k * w) / r}, unit="V")
+    b.ode("w", k * (volts - k * w + drop) / r / b.parameter("J", 2e-4, unit="kg m2", vary=False))
+    b.output("n", w, unit="rad/s")
+    for name in ("coulomb_friction", "constant_torque"):
+        assert b.model().with_effect(ce.effects.library(name)[0], at="armature").effects
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_offset_of_an_input_gives_way_only_to_a_constant_that_is_looked_for(sign):
+    b = ce.Blueprint("sledge")
+    v, force, m = b.state("v", unit="m/s"), b.input("F", unit="N"), b.parameter("m", 2.0, unit="kg")
+    b.ode("v", (force - 3 * v + sign * b.port("runner", "inertia", {"speed": v}, unit="N")) / m)
+    b.output("v_seen", v, unit="m/s")
+    skipped = []
+    found = ce.effects.candidates(
+        b.model(),
+        [ce.effects.InputOffset()],
+        ce.Experiment.from_arrays(
+            "run",
+            time=np.arange(9.0),
+            units={"F": "N", "v_seen": "m/s"},
+            F=np.arange(9.0),
+            v_seen=np.zeros(9),
+        ),
+        skipped=skipped,
+    )
+    assert [one.why for one in skipped] == (["constant_torque at runner does the same"] if sign > 0 else [])
+    assert len(found) == (0 if sign > 0 else 1)
