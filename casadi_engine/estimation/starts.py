@@ -82,11 +82,30 @@ def nodes_from_measurement(record: RecordTerm, physical: Array, given: Array | N
         shift = _shortened(lambda states: function(states, mean, 0.0, physical), guess, shift)
     nodes = np.ascontiguousarray(((guess[:, None] + shift) / scale[:, None]).T)
     if given is not None and model.linear is None and whole and 0 < np.isfinite(given).sum() < len(given):
-        known = np.isfinite(given)
-        begins = [np.where(known, given * scale, one) for one in (nodes[0] * scale, first)]
-        ends = [_beside(parts, one, observed[:, 0], scale, weights, free=~known) for one in begins]
-        nodes[0] = min(ends, key=lambda one: _misfit(parts, one, observed[:, 0], weights)[-1]) / scale
+        nodes[0] = _beside_given(
+            parts, (nodes[0] * scale, first), given * scale, observed[:, 0], scale, weights
+        )
+        nodes[0] /= scale
     return nodes
+
+
+def _beside_given(
+    parts: Callable[[Array], list[Array]],
+    begins: tuple[Array, Array],
+    given: Array,
+    wanted: Array,
+    scale: Array,
+    weights: Array,
+) -> Array:
+    """The state (n,) that explains the outputs (ny,) beside what is given of it, NaN elsewhere: from the first of two
+    beginnings, or from the other where that leads nowhere, as from beyond a pole."""
+    known = np.isfinite(given)
+    ends = [
+        _beside(parts, np.where(known, given, one), wanted, scale, weights, free=~known) for one in begins
+    ]
+    own, other = (_misfit(parts, one, wanted, weights)[-1] for one in ends)
+    much = own > (_SMALL * float(np.nanmax(np.abs(wanted / weights), initial=0.0))) ** 2
+    return ends[1] if much and other < own else ends[0]
 
 
 def _beside_a_pole(c: Array, usual: Array, scale: Array) -> bool:
