@@ -278,7 +278,8 @@ def _with_sharp_corners(fit: Fit, arguments: Mapping[str, Any], run: Callable[[d
         return found
 
     def so_far() -> Fit:
-        return fit if reached[-1] is fit else with_cut_corners(reached[-1])
+        best = min(reached, key=merit)  # the last one may have tried wider ones
+        return fit if best is fit else with_cut_corners(best)
 
     return in_time(lambda: follow_motion(fit, arguments["parameters"], again), so_far)
 

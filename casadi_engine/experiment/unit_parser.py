@@ -25,7 +25,7 @@ LONGEST = 100
 _TOKEN = re.compile(
     r"(?P<space>\s+)|(?P<number>\d+(?:\.\d+)?)|(?P<raised>[⁻⁺]?[⁰¹²³⁴-⁹]+)|(?P<power>\^|\*\*)"
     r"|(?P<times>[*·⋅×.])|(?P<slash>[/÷])|(?P<open>\()|(?P<close>\))|(?P<minus>[-−+])"
-    r"|(?P<word>[^\W\d_⁰¹²³⁴-⁹]+|[%°][^\W\d_]*)"
+    r"|(?P<word>[cm]mH2O(?!\w)|[^\W\d_⁰¹²³⁴-⁹]+|[%°][^\W\d_]*)"
 )
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
 RULE = "symbols such as N m s/rad, kg m2, L/min, mg/L, W/(m2 K), 1/h, km/h, degC, rpm, %, with SI prefixes"

@@ -177,3 +177,14 @@ def test_a_repair_names_the_weir():
 def test_nothing_runs_over_where_no_weir_is():
     found = ce.repair(tank(), filled("run", 1, 0.0), fresh=filled("fresh", 2, 0.0), progress=False)
     assert found.verdict == "nothing missing"
+
+
+@pytest.mark.parametrize(("unit", "is_there"), [("mg/dL", True), ("mmol/L", True), ("V", False)])
+def test_what_runs_off_is_looked_for_at_concentrations(unit, is_there):
+    b = ce.Blueprint("plasma", time_unit="min")
+    level, rate = b.state("G", unit=unit, scale=100), b.parameter("k", 0.02, unit="1/min", min=0)
+    b.ode("G", b.port("plasma", "inertia", {"speed": level}) - rate * level)
+    b.output("seen", level, unit=unit)
+    time = np.arange(50) * 60.0
+    run = ce.Experiment.from_arrays("run", time=time, units={"seen": unit}, seen=200 * np.exp(-time / 3000))
+    assert bool(ce.effects.candidates(b.model(), [Relief()], run)) is is_there
