@@ -18,8 +18,9 @@ def apply_settings(
     freed and fixed, and values outside the bounds.
     """
     result = parameters.copy()
-    values = [_pair(text, "--set", needed=True) for text in set]
-    fixed = [_pair(text, "--fix", needed=False) for text in fix]
+    known = next(iter(parameters), "NAME")
+    values = [_pair(text, "--set", known, needed=True) for text in set]
+    fixed = [_pair(text, "--fix", known, needed=False) for text in fix]
     _no_repeats("--set", [name for name, _ in values])
     _no_repeats("--free", free)
     _no_repeats("--fix", [name for name, _ in fixed])
@@ -40,10 +41,10 @@ def apply_settings(
     return result
 
 
-def _pair(text: str, option: str, *, needed: bool) -> tuple[str, float | None]:
+def _pair(text: str, option: str, known: str, *, needed: bool) -> tuple[str, float | None]:
     form = "NAME=VALUE" if needed else "NAME or NAME=VALUE"
     name, equals, number = (part.strip() for part in text.partition("="))
-    cure = f"write for instance {option} J_eng=0.4"
+    cure = f"write for instance {option} {known}=0.4"
     if not name or (needed and not equals):
         raise ParameterError(f"{option} is not of the form {form}", seen=repr(text), allowed=form, cure=cure)
     if not equals:

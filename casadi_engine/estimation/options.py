@@ -77,7 +77,7 @@ def initial_bounds(
     if initial is None:
         return lower, upper, start
     if not isinstance(initial, Mapping):
-        raise _bad_initial(initial)
+        raise _bad_initial(initial, names)
     if initial and all(isinstance(value, Mapping) for value in initial.values()):
         for key in initial:
             if key not in records:
@@ -106,7 +106,7 @@ def initial_bounds(
         elif len(pair) == 2 and pair[0] is not None and pair[1] is not None and pair[0] < pair[1]:
             lower[k], upper[k] = pair
         else:
-            raise _bad_initial({name: value})
+            raise _bad_initial({name: value}, [name])
     return lower, upper, start
 
 
@@ -142,12 +142,12 @@ def as_number(value: Any) -> float | None:
         return None
 
 
-def _bad_initial(seen: Any) -> EstimationError:
+def _bad_initial(seen: Any, names: Sequence[str]) -> EstimationError:
     return EstimationError(
         "the initial states are not acceptable",
         seen=repr(seen),
         allowed='a mapping of state to a number (fixed), a pair (low, high) with low < high, or "free"',
-        cure='write initial={"omega_eng": 125.0, "twist": (-0.1, 0.1)}, for instance',
+        cure=f'write initial={{"{names[0]}": 0.5}} or initial={{"{names[0]}": (0.1, 0.9)}}, for instance',
     )
 
 

@@ -219,14 +219,20 @@ def _begin(model: Model, data: Experiment) -> float | None:
     return min((float(c.time[c.mask][0]) for c in channels if c.mask.any()), default=None)
 
 
+def _a_name(model: Any, kind: str) -> str:
+    """A name of the model for an example, or a word where it has none or is no model."""
+    return next((str(each.name) for each in getattr(model, kind, ())), "name")
+
+
 def _check_kinds(model: Any, data: Any, parameters: Any, initial: Any) -> None:
     """Raise SimulationError for an argument that is of another kind than asked for, such as two exchanged ones."""
     kinds: tuple[tuple[str, Any, Any, str, str], ...] = (
         ("model", model, Model, "a Model or a Fit", "give simulate(model, experiment)"),
         ("data", data, Experiment, "one Experiment", "simulate several one by one"),
         ("parameters", parameters, (Parameters, Mapping, type(None)), "a set, name -> value, or None",
-         'write parameters={"J_eng": 0.4}'),
-        ("initial", initial, (Mapping, type(None)), "state -> value, or None", 'write initial={"omega_eng": 125.0}'),
+         f'write parameters={{"{_a_name(model, "declarations")}": 0.4}}, for instance'),
+        ("initial", initial, (Mapping, type(None)), "state -> value, or None",
+         f'write initial={{"{_a_name(model, "states")}": 0.5}}, for instance'),
     )  # fmt: skip
     for name, given, kind, allowed, cure in kinds:
         if not isinstance(given, kind):

@@ -259,7 +259,7 @@ def _check_initial(initial: object, model: Model) -> None:
             "the problem's initial is of the wrong kind",
             seen=type(initial).__name__,
             allowed="a mapping from state to value, or None",
-            cure='write initial={"omega_eng": 125.0}',
+            cure=f'write initial={{"{model.states[0].name}": 0.5}}, for instance',
         )
     for key, value in initial.items():
         # A mapping inside is the settings of one record, which is known by name only when it is read.

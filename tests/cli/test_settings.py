@@ -42,7 +42,7 @@ def test_set_of_another_form(pars, text):
     with pytest.raises(ParameterError) as caught:
         apply_settings(pars, set=[text])
     assert f"--set is not of the form NAME=VALUE; seen: {text!r}" in str(caught.value)
-    assert "--set J_eng=0.4" in str(caught.value)
+    assert "write for instance --set J=0.4" in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["J=", "J=half", "J=0,5", "J=0.5 kg", "J=__import__('os')", "J==1"])
