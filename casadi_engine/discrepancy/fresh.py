@@ -32,6 +32,7 @@ from casadi_engine.discrepancy.repaired import Side
 from casadi_engine.errors import ExperimentError
 from casadi_engine.estimation import Fit
 from casadi_engine.experiment import Experiment
+from casadi_engine.experiment.pace import paced
 from casadi_engine.experiment.twins import refuse_twins, twin_of
 from casadi_engine.model import Model
 from casadi_engine.simulation.grid import lay_grid
@@ -86,6 +87,7 @@ def portions(
     cycles together, if three are left to search in. Raises ExperimentError for a fresh record that is searched in, and
     for one that is given twice."""
     outputs = [out.name for out in model.outputs]
+    data, fresh = (tuple(paced(record, outputs) for record in own) for own in (data, fresh))
     refuse_twins(data, outputs)
     for record in fresh:
         twin = twin_of(record, data, outputs)

@@ -266,7 +266,7 @@ class Refitter:
         small as the data are content with: a play that is never crossed may have any width, and claims too much."""
         for one in new:
             found = fit.estimates.get(one.amplitude)
-            if found is None or found.value == 0:
+            if found is None or found.value == 0 or found.fixed:  # all of it, with which the data are content
                 continue
             if _determined(found) and not self._open_above(fit, effects, one):
                 continue

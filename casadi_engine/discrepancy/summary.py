@@ -92,7 +92,9 @@ def _tested_lines(repair: Repair, noise: list[str]) -> Lines:
     names = ", ".join(record.name for record in repair.data)
     fresh = ", ".join(record.name for record in repair.fresh)
     within = {record.name for record in repair.data}
-    kind = f" ({held_out(repair)} held out)" if within.intersection(r.name for r in repair.fresh) else ""
+    own = within.intersection(record.name for record in repair.fresh)
+    given = repair.gaps is not None and repair.gaps.source == "records"  # a later cut of the same record
+    kind = f" ({held_out(repair)} held out)" if own and not given else ""
     lines = [f"  data       {names}; fresh: {fresh or 'none'}{kind if fresh else ''}"]
     lines += wrapped(f"  noise      {'; '.join(noise)}", "             ") if noise else []
     if repair.threshold is not None:

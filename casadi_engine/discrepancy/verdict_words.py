@@ -120,7 +120,7 @@ def headline(repair: Repair) -> str:
     if any(is_early(one) for one in repair.effects):
         doubt += ", or a memory that the model lacks (no sensor is early)"
     law = in_its_place(repair.unknown, repair.effects)
-    first = law_leads(repair)
+    first, else_wrong = law_leads(repair), _in_the_way(repair)
     if repair.unknown and not first and (law or repair.unknown.odds is not None):
         doubt += f", or {'rather ' if law else ''}a law that the library lacks"
     elif repair.unknown and not first and not is_of_rounding(repair):
@@ -133,8 +133,17 @@ def headline(repair: Repair) -> str:
         lead = (
             f"something is missing, and a law that the library lacks is far more probable{_law_alone(repair)}"
         )
-        return f"{lead}; the nearest of the library: {names}{tried}{doubt}, {fresh}"
-    return f"{_named(repair)}{tried}{doubt}, {fresh}"
+        return f"{else_wrong}{lead}; the nearest of the library: {names}{tried}{doubt}, {fresh}"
+    return f"{else_wrong}{_named(repair)}{tried}{doubt}, {fresh}"
+
+
+def _in_the_way(repair: Repair) -> str:
+    """What may be all that is wrong in place of what is named: beyond a bound, or from other first states, the model
+    without effects does as well."""
+    what = (
+        "a bound" if BOUNDS in repair.options else "a given first state" if STARTS in repair.options else ""
+    )
+    return f"{what} may be all that is wrong, or " if what else ""
 
 
 def uneven_noise(repair: Repair) -> str:

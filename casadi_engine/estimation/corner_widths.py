@@ -38,7 +38,7 @@ from casadi_engine.simulation.observed import ObservedPropagator
 Array = NDArray[np.float64]
 
 # Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this: a quarter
-# is a bias of half a standard error at most.
+# is a bias of half a standard error at most, of errors that count with the colour of what the fit leaves.
 FACTOR, SHARPER, FELT = 4.0, 4, 0.25
 # How often they are wider by the factor where none can be followed as they were declared: then about as wide as motion.
 WIDER = 4
@@ -49,6 +49,9 @@ ROUNDED = "the data feel how corners are rounded"
 _PREFERRED = 9.0
 # The least factor that is worth a fit of its own.
 _WORTH = 1.4
+# Correlation of neighbours, in its standard errors, from which a residual counts as coloured; and share of what is left
+# that is no cause of the rest.
+_COLOUR, _NO_CAUSE = 3.0, 0.01
 # Steps of the integrator over all records that a sharper corner may cost.
 _STEPS = 1e6
 # Intervals into which a record is cut then: the integrator takes them side by side.
@@ -219,6 +222,15 @@ class Motion:
         """Most integration steps to a sample."""
         return max((one.substeps for one in self.fit.integration.values()), default=0)
 
+    @property
+    def felt(self) -> float:
+        """Change of chi-squared that the data feel: ``FELT`` in errors that count with the colour of what is left, and
+        no more than a share of that, which such corners may have made."""
+        traces = [trace for own in self.fit.traces.values() for trace in own.values()]
+        alike = min((_neighbours(one.residual[one.mask]) for one in traces), default=0.0)
+        left = alike * min(self.fit.cost, self.fit.n)
+        return max(FELT, min(FELT * (1 + alike) / (1 - alike), _NO_CAUSE * left))
+
     def cost(self, widths: Mapping[str, float]) -> float:
         """Chi-squared at these widths, in units of what the fit leaves."""
         if self.whole:
@@ -231,6 +243,13 @@ class Motion:
         if self.whole:
             return paths_of(self.fit)
         return self._problem.paths(self._values | self.widths, self._nodes)
+
+
+def _neighbours(residual: Array) -> float:
+    """Correlation of neighbours in a residual (n,); 0 where it is no larger than chance makes it."""
+    square, count = float(residual @ residual), max(len(residual), 1)
+    own = float(residual[1:] @ residual[:-1]) / square if square > 0 else 0.0
+    return min(own, 1 - 1 / count) if own > _COLOUR / math.sqrt(count) else 0.0
 
 
 def felt_by(fit: Fit, widths: Mapping[str, float]) -> float:
@@ -247,12 +266,13 @@ def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
     """The fit, with a message if twice its widths change chi-squared."""
     fit = motion.fit
     change = _change(motion, widths)
-    if change < FELT:
+    if change < motion.felt:
         return fit
     names = ", ".join(f"{name} = {width:.2g}" for name, width in widths.items())
     words = (
         f"{ROUNDED} ({names}: twice as wide they change chi-squared by {change:.2g}), and "
-        f"no fit with sharper ones was reached: estimates may be off by about {math.sqrt(change):.2g} standard errors; "
+        f"no fit with sharper ones was reached: estimates may be off by about "
+        f"{math.sqrt(change * FELT / motion.felt):.2g} standard errors; "
         "with_effect(..., sharp=True) keeps the corners as they are, and is fitted through its events"
     )
     return replace(fit, messages=(words, *fit.messages))
@@ -358,7 +378,7 @@ def _sharper(motion: Motion, widths: Mapping[str, float]) -> dict[str, float] | 
     try:
         # the sharpest first: it asks for the finest steps, which the others then share
         sharpest = motion.cost(levels[-1])
-        felt = (abs(motion.cost(level) - sharpest) >= FELT for level in levels[:-1])
+        felt = (abs(motion.cost(level) - sharpest) >= motion.felt for level in levels[:-1])
         return next((level for level, more in zip(levels, felt, strict=False) if not more), levels[-1])
     except (FloatingPointError, np.linalg.LinAlgError):
         return None  # what is sharper cannot be simulated

@@ -43,6 +43,7 @@ from casadi_engine.estimation.whole_turns import but_for_turns
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
+from casadi_engine.experiment.pace import paced
 from casadi_engine.experiment.twins import refuse_twins
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
@@ -386,7 +387,10 @@ def _records(data: Any, model: Model) -> tuple[Experiment, ...]:
             cure="read one by read_experiment(path)",
         )
     named = with_unique_names(records)
-    return tuple(arriving(model, record) for record in named) if isinstance(model, Model) else named
+    if not isinstance(model, Model):
+        return named
+    outputs = [out.name for out in model.outputs]
+    return tuple(paced(arriving(model, record), outputs) for record in named)
 
 
 def _reporter(progress: Any, starts: int, most: int) -> Any:

@@ -32,8 +32,10 @@ _NAMED = 5
 # meanwhile.
 _ROW, _ELSEWHERE, _NOISY, _MEANWHILE = 10, 10, 0.5, 5.0
 # Times that an output comes to its limit, and samples, or share of all, in which it is there then; and how many times
-# as many as it shows any one value again, which a counter does with all of them.
+# as many as it shows a value beside it again, which a counter does with all of them.
 _TIMES, _LIMITED, _PART, _OFTEN = 2, 6, 0.005, 4
+# Values next to a limit that tell how often one comes back where there is none.
+_BESIDE = 10
 
 
 def faults(fit: Fit) -> tuple[str, ...]:
@@ -101,10 +103,10 @@ def at_its_limit(fit: Fit) -> str | None:
             y = trace.measured[trace.mask]
             if len(y) < _FEW or step_of(y) is not None:
                 continue
-            usual = len(y) / len(
-                np.unique(y)
-            )  # samples of one value: a counter's steps may be written unevenly
-            for limit, side in ((y.max(), "more"), (y.min(), "less")):
+            counts = np.unique(y, return_counts=True)[1]
+            for limit, side, others in ((y.max(), "more", counts[::-1]), (y.min(), "less", counts)):
+                # what reads in steps, which may be written unevenly, comes back to any value beside this one
+                usual = int(others[1 : 1 + _BESIDE].max(initial=1))
                 there = y == limit
                 times = int(there[0]) + int(np.count_nonzero(~there[:-1] & there[1:]))
                 # at rest a sensor reads 0 exactly, which is no limit

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import casadi as ca
@@ -309,13 +310,15 @@ def joined_nodes(record: RecordTerm, v: Array, near: Array) -> Array:
     if record.plan.m == 1:
         return chained_nodes(record, v, near[0])
     if not isinstance(record.propagator, RungeKuttaPropagator):
-        run = chained_nodes(record, v, near[0])
-        if not record.linear or float(np.abs(run - near).max()) <= _LEFT * max(
-            1.0, float(np.abs(near).max())
-        ):
-            return run
+        run = None
+        with suppress(FloatingPointError):  # what a controller holds upright runs away without it
+            run = chained_nodes(record, v, near[0])
+            far = _LEFT * max(1.0, float(np.abs(near).max()))
+            if not record.linear or float(np.abs(run - near).max()) <= far:
+                return run
         shadow = _shadow(record, v, near.copy())
-        return run if shadow is None else shadow
+        found = run if shadow is None else shadow
+        return chained_nodes(record, v, near[0]) if found is None else found
     try:
         joined = _joined(record, v, near.copy())
     except FloatingPointError:  # far from the run, a step may lead anywhere

@@ -16,7 +16,7 @@ import numpy as np
 from casadi_engine.deadline import ask
 from casadi_engine.simulation.adaptive_steps import cvodes, dormand_prince, error_norm, error_norms
 from casadi_engine.simulation.jets import Array
-from casadi_engine.simulation.swept_steps import FEWEST, Sweeps
+from casadi_engine.simulation.swept_steps import FEWEST, Sweeps, Swept
 from casadi_engine.simulation.switched_field import Mode, Segment, SwitchedField
 
 # Steps whose length times the fastest mode exceed this are limited by stability: the scheme's limit is about 6.
@@ -103,26 +103,33 @@ class Adaptive:
         # Without channels and switches nothing asks for a fresh start at a knot.
         self._span = float(time[-1] - time[0])
         self._free = not len(low) and not self.field.switches
-        sweeps = Sweeps(self.field) if not self.field.switches and len(time) > FEWEST else None
-        done = 0
+        sweeps = Sweeps(self.field) if len(time) > FEWEST else None
+        jumps = np.append(
+            True, (low[:, 1:] != high[:, :-1]).any(axis=0)
+        )  # of channels at the beginning of each piece
+        done, waits = 0, False
         for k in range(len(time) - 1):
             if k + 1 < done:
                 continue
-            if sweeps and k and not self.stiff:
-                found = self._swept(sweeps, x, time[k:], low[:, k:], high[:, k:])
+            if sweeps and k and not waits and not self.stiff:
+                found = self._swept(sweeps, x, time[k:], low[:, k:], high[:, k:], jumps[k:])
                 if len(found):
                     done, x = k + len(found) + 1, found[-1]
                     states[k + 1 : done] = found
+                    waits = (
+                        bool(self.field.switches) and sweeps.cut
+                    )  # until the switch that is near is passed
                     continue
             length = time[k + 1] - time[k]
             segment = Segment(time[k], low[:, k], (high[:, k] - low[:, k]) / length, self.z).row
-            jumped = k == 0 or bool((low[:, k] != high[:, k - 1]).any())
             if k == 0:
                 self.h = self._first_step(x, time[0], length, segment)
-            if self.field.switches and jumped:
+            if self.field.switches and jumps[k]:
                 x = self._settle(x, time[k], segment)
+            met = self.events
             x = self._piece(x, time[k], time[k + 1], segment)
             states[k + 1] = x
+            waits = waits and met == self.events and not self._far(length)
             while self.stiff and self._free and k + 1 < len(time) - 1:
                 # knots whose distances are not too different in one run: CVODES counts its time from its beginning
                 far = time[k + 1] + _SPREAD * (time[k + 2] - time[k + 1])
@@ -181,18 +188,29 @@ class Adaptive:
     # ---- explicit steps
 
     @np.errstate(all="ignore")
-    def _swept(self, sweeps: Sweeps, x: Array, time: Array, low: Array, high: Array) -> Array:
-        """(K, size) states at the next knots, as far as steps of one sweep meet the tolerance; none where none does."""
-        made = sweeps.of(x, time, low, high, self.h, self.z)
+    def _swept(self, sweeps: Sweeps, x: Array, time: Array, low: Array, high: Array, jumps: Array) -> Array:
+        """(K, size) states at the next knots, as far as steps of one sweep meet the tolerance and pass no switch; none
+        where none does."""
+        made = sweeps.of(x, time, low, high, self.h, self.z, (self.mode, self.b, self.c))
         if made is None:
             return np.zeros((0, len(x)))
-        lengths, ends, fifth, third, parts = made
+        lengths, ends, parts = made.lengths, made.ends, made.parts
         ask(len(lengths))
         sizes = np.abs(np.concatenate([x[None], ends]))
         peaks = np.maximum.accumulate(np.concatenate([self.peak[None], sizes[1:]]), axis=0)
         weights = self._weights(np.maximum(sizes[:-1], sizes[1:]), peaks[:-1])
-        errors = error_norms(fifth / weights, third / weights)
+        weights[:, : self.field.n] += _ROUNDING * lengths[:, None] * self._held
+        errors = error_norms(made.fifth / weights, made.third / weights)
+        passed = np.maximum.accumulate(np.concatenate([self.g_peak[None], np.abs(made.late_g)]), axis=0)
+        if self.field.switches:
+            errors = np.maximum(errors, self._course_errors(made, passed[1:]))
         good = np.isfinite(ends).all(axis=1) & (errors <= 1)
+        if self.field.switches:
+            begun = np.zeros(len(good), dtype=bool)
+            begun[::parts] = jumps[: len(good) // parts]
+            near = 1e3 * _PASSED * passed[:-1]
+            good &= made.undisturbed(self.side, self.mode, near, begun)
+            good &= ~(begun & self.field.inputs_switch)
         count = len(good) if good.all() else int(np.argmin(good))
         sweeps.went(count, len(good))
         count -= count % parts
@@ -201,10 +219,16 @@ class Adaptive:
         grown = lengths[:count] * np.minimum(_MOST, _SAFETY * np.maximum(errors[:count], 1e-10) ** (-1 / 8))
         self.h = float(grown.min())
         self.steps += count
-        self.peak = peaks[count]
+        self.peak, self.g_peak = peaks[count], passed[count]
         if self.steps > MOST_STEPS:
             raise FloatingPointError(TOO_MANY)
         return np.asarray(ends[parts - 1 : count : parts])
+
+    def _course_errors(self, made: Swept, peak: Array) -> Array:
+        """(K,) errors of the course of the switching functions within steps, in what is allowed; 0 of brief ones."""
+        weights = _COURSE * peak + 1e-300
+        errors = error_norms(made.passing5 / weights, made.passing3 / weights)
+        return np.where(made.lengths > _BRIEF * self._span, errors, 0.0)
 
     def _step(self, x: Array, t: float, h: float, segment: Array) -> list[Array]:
         return self.field.stepper(self.mode, dormand_prince)(x, t, h, segment, self.b, self.c)
@@ -213,7 +237,7 @@ class Adaptive:
         """A step that meets the tolerance: its length, end, and α there."""
         h = min(self.h, left)
         while True:
-            ahead, fifth, third, share, passing5, passing3, *ends = self._step(x, t, h, segment)
+            ahead, fifth, third, share, passing5, passing3, *ends, _ = self._step(x, t, h, segment)
             self._rates, self._ends = ends[:2], ends[2:]
             weight = self._weights(np.maximum(np.abs(x), np.abs(ahead)), self.peak)
             weight[: self.field.n] += _ROUNDING * h * self._held

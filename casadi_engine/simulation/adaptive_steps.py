@@ -9,8 +9,8 @@ from casadi_engine.simulation.jets import Array
 
 
 def dormand_prince(field: ca.Function) -> ca.Function:
-    """(x, t, h, segment, b, c) -> (end, its errors of order 5 and 3, α at the end, those errors of the switches, and
-    the switches' rates at both ends)."""
+    """(x, t, h, segment, b, c) -> (end, its errors of order 5 and 3, α at the end, those errors of the switches, the
+    switches' rates at both ends, the switches there, and α at the beginning)."""
     from scipy.integrate import DOP853
 
     x, t, h = ca.SX.sym("x", field.size1_in(0)), ca.SX.sym("t"), ca.SX.sym("h")
@@ -21,9 +21,9 @@ def dormand_prince(field: ca.Function) -> ca.Function:
         for weight, (slope, _) in zip(row, slopes, strict=False):
             if weight:
                 inner = inner + h * weight * slope
-        rate, _, passing, g = field(inner, t + node * h, *rest)
+        rate, alpha, passing, g = field(inner, t + node * h, *rest)
         if not slopes:
-            begin = g
+            begin, first = g, alpha
         slopes.append((rate, passing))
     end = x
     for weight, (slope, _) in zip(DOP853.B, slopes, strict=True):
@@ -39,7 +39,7 @@ def dormand_prince(field: ca.Function) -> ca.Function:
                 if weight:
                     error = error + h * weight * pair[part]
             errors.append(error)
-    found = [end, *errors[:2], share, *errors[2:], slopes[0][1], last_rate, begin, g]
+    found = [end, *errors[:2], share, *errors[2:], slopes[0][1], last_rate, begin, g, first]
     return ca.Function("step", [x, t, h, *rest], found)
 
 

@@ -43,6 +43,7 @@ class SwitchedField:
 
     f(x, t, segment, b, c) with the held jumps' values b; in a mode the mean of the fields at b and b + c, weighted by
     1 - α and α such that the state stays on the mode's switches
+    inputs_switch : whether switching functions or what jumps at them depend on the channels
     switches : number of switching functions; ``owner`` : (nb,) the switch at which each held value changes
     sensitivities : carry the derivatives of the states to (start, z) along
     """
@@ -78,10 +79,13 @@ class SwitchedField:
         nodes = self._along(_rows(held.values, kept))
         place = [self.x, self.t, self._segment]
         slope = ca.densify(ca.jacobian(self._g, ca.vertcat(self.x, self.t, self._z)))
+        # whether where channels jump, a switch or what jumps there may do so too
+        self.inputs_switch = bool(ca.depends_on(ca.vertcat(self._g, nodes), self._segment[: 1 + 2 * nu]))
         self._nodes = _fast(ca.Function("nodes", place, [nodes]))
         self._g_of = _fast(ca.Function("g", [*place, self._b], [self._g]))
-        self._slope = ca.Function("slope", [*place, self._b], [slope])
+        self._slope = _fast(ca.Function("slope", [*place, self._b], [slope]))
         self._made: dict[tuple[str, Mode], Callable[..., list[Array]]] = {}
+        self._steps: dict[tuple[str, Mode], ca.Function] = {}
 
     def _along(self, expression: ca.SX) -> ca.SX:
         """An expression with the channels on the segment's line."""
@@ -137,12 +141,18 @@ class SwitchedField:
             self._made[key] = _fast(self.field_function(mode))
         return self._made[key]
 
-    def stepper(self, mode: Mode, make: Callable[[ca.Function], ca.Function]) -> Callable[..., list[Array]]:
-        """A step function made of the field of a mode, once."""
+    def stepper(
+        self, mode: Mode, make: Callable[[ca.Function], ca.Function], room: int = 1
+    ) -> Callable[..., list[Array]]:
+        """A step function made of the field of a mode, once; of so many steps in a row."""
         key = (make.__name__, mode)
-        if key not in self._made:
-            self._made[key] = _fast(make(self.field_function(mode)))
-        return self._made[key]
+        if key not in self._steps:
+            self._steps[key] = make(self.field_function(mode))
+        long = (f"{make.__name__} {room}", mode)
+        if long not in self._made:
+            step = self._steps[key]
+            self._made[long] = _fast(step if room == 1 else step.mapaccum(room))
+        return self._made[long]
 
     def jacobian(self, x: Array, t: float, segment: Array, b: Array, c: Array, mode: Mode) -> Array:
         """(n, n) df/dx."""
@@ -155,7 +165,7 @@ class SwitchedField:
 
     def slopes(self, x: Array, t: float, segment: Array, b: Array) -> Array:
         """(switches, n + 1 + nz) derivatives of the switching functions to (x, t, z)."""
-        return np.asarray(self._slope(x[: self.n], t, segment, b), dtype=float).reshape(self.switches, -1)
+        return self._slope(x[: self.n], t, segment, b)[0].reshape(-1, self.switches).T
 
     def sides(
         self, x: Array, t: float, segment: Array, b: Array, i: int, sizes: Array

@@ -10,6 +10,7 @@ from casadi_engine.estimation.faulty_samples import at_its_limit, stands_still, 
 from casadi_engine.estimation.fit import Trace
 
 T = np.arange(400) * 0.01
+T2, NOISE = np.arange(1000.0), 0.08 * np.random.default_rng(0).standard_normal(1000)
 
 
 @pytest.mark.parametrize(
@@ -23,6 +24,8 @@ T = np.arange(400) * 0.01
         ),  # it reads in steps, of which one is the largest
         # a counter's steps of 4/3, written with one decimal
         (lambda y: np.round(np.round(y / 0.133333) * 0.133333, 2), False),
+        # it settles on a converter's steps of 0.322, written with two decimals
+        (lambda y: np.round(0.322 * np.round((60.18 - 40 * np.exp(-T2 / 150) + NOISE) / 0.322), 2), False),
         (lambda y: np.where(np.arange(len(y)) < 300, 2.0, y), False),  # it rests there once
         (lambda y: np.zeros(len(y)), False),
         (lambda y: np.maximum(y, 0.0), False),  # a machine that stands still now and then

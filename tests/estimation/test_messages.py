@@ -145,7 +145,7 @@ def test_initial_states_of_another_kind(run_up, refused, given):
         E,
         "the initial states are not acceptable",
         allowed='a mapping of state to a number (fixed), a pair (low, high) with low < high, or "free"',
-        cure='write initial={"omega_eng": 125.0, "twist": (-0.1, 0.1)}, for instance',
+        cure='write initial={"omega_eng": 0.5} or initial={"omega_eng": (0.1, 0.9)}, for instance',
     ):
         fit(run_up, initial=given)
 
