@@ -335,7 +335,7 @@ def law_words(model: Model, family: Family) -> str:
             what = f"the difference between {' and '.join(ends)}"
         if what.startswith(SHOWN) and what not in port.signals:
             what = _shown_words(model.ports[what.removeprefix(SHOWN)])
-        return f"the parameter {port.parameter}{same} is not constant: it depends on {what}"
+        return f"the parameter {port.parameter}{same} seems not to be constant: it depends on {what}"
     where = f"between {' and '.join(port.ends)}" if port.ends else f"at {family.port}"
     acts = f"an unknown {port.quantity} {where}"
     if family.order:

@@ -121,16 +121,14 @@ def test_a_headline_counts_the_class(leaking):
 )
 def test_a_law_elsewhere_that_is_far_more_probable_leads(leaking, port, odds, leads):
     """A bath's voltage by the logarithm of its current was "a wrong gain of the heater, confirmed", first of all."""
-    said = (
-        f"the parameter c is not constant: it depends on h: far more probable than {leaking.effects[0].name}"
-    )
+    law = "the parameter c seems not to be constant: it depends on h"
+    said = f"{law}: far more probable than {leaking.effects[0].name}"
     found = replace(
         leaking, unknown=Unknown(said, {}, port, "h", course="a curve", odds=odds), confirmed=True
     )
     words = headline(found)
     assert leads is words.startswith(
-        "something is missing, and a law that the library lacks is far more probable: the parameter c is not constant: "
-        "it depends on h; the nearest of the library: constant_torque at tank, or one of 2 others, confirmed"
+        f"something is missing, and a law that the library lacks is far more probable: {law}; the nearest of the library: constant_torque at tank, or one of 2 others, confirmed"
     )
     assert leads is not words.startswith("constant_torque at tank (a constant volume flow out of tank")
     assert leads is ("write an effect of your own" in next_step(found))

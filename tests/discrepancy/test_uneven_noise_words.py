@@ -16,7 +16,9 @@ SAID = "; or the noise is not of one size, as the residual is not, which all tes
 @pytest.fixture(scope="module")
 def unnamed(shaft):
     found = ce.repair(shaft.model, shaft.data(n=400), effects=["coulomb_friction"], starts=1, progress=False)
-    law = Unknown("the parameter k is not constant: it depends on c", {"a function of c at k": 3.8e-5})
+    law = Unknown(
+        "the parameter k seems not to be constant: it depends on c", {"a function of c at k": 3.8e-5}
+    )
 
     def made(*messages):
         fit = replace(found.null_fit, messages=messages)
