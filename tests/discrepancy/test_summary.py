@@ -128,7 +128,8 @@ def test_a_law_elsewhere_that_is_far_more_probable_leads(leaking, port, odds, le
     )
     words = headline(found)
     assert leads is words.startswith(
-        f"something is missing, and a law that the library lacks is far more probable: {law}; the nearest of the library: constant_torque at tank, or one of 2 others, confirmed"
+        f"something is missing, and a law that the library lacks is far more probable: {law}; "
+        "the nearest of the library: constant_torque at tank, or one of 2 others, confirmed"
     )
     assert leads is not words.startswith("constant_torque at tank (a constant volume flow out of tank")
     assert leads is ("write an effect of your own" in next_step(found))
