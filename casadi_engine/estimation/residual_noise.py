@@ -60,6 +60,8 @@ _LITTLE = 1e-3
 _BLIND = 1e-12
 # A record with more samples times estimates is so long that these take nothing of its noise that would be seen.
 _LONG = 2_000_000
+# Share of the samples beside which there is one before, from which on gaps leave an autoregression its long past.
+_BESIDE = 0.9
 # Samples to an estimate beyond which these take next to nothing of any sample's noise.
 _MANY = 1000
 
@@ -343,11 +345,14 @@ def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> tuple[Array, float]
     samples tell as much of a mean."""
     if one.neighbours is None:
         return slopes.T @ slopes * (one.level or 1.0) ** 2, math.inf
-    columns = _with_taken(one, slopes, errors)
-    noise = autoregression(columns, one.valid)
+    columns, valid = _with_taken(one, slopes, errors), one.valid
+    if np.count_nonzero(valid[1:] & valid[:-1]) < _BESIDE * np.count_nonzero(valid):
+        # few have a long past without gaps: the past of each is what was sampled before it
+        columns, slopes, valid = columns[valid], slopes[valid], valid[valid]
+    noise = autoregression(columns, valid)
     predictor = _lasting(noise.predictors[-1], len(slopes))
     answer = all_pole(predictor, np.eye(len(slopes), 1))[:, 0]
-    count, power = int(one.valid.sum()), float((answer**2).sum())
+    count, power = int(valid.sum()), float((answer**2).sum())
     level = math.sqrt(float((columns**2).sum()) / count / power)
     # the noise was there before the record began
     before = int(np.flatnonzero(np.abs(answer) > _LITTLE).max(initial=0))

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from casadi_engine.experiment.channel import Channel
 from casadi_engine.experiment.experiment import Experiment
 
-# Share of the samples that have the next one beside them from which a channel is sampled at all its times, with gaps:
-# of fewer no autoregression of a high order is told.
-_BESIDE = 0.9
+# Share of the samples that have the next one beside them from which a channel is sampled at all its times, with gaps.
+_BESIDE = 0.25
 
 
 def paced(record: Experiment, names: Iterable[str]) -> Experiment:
