@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 _ROUNDS, _LEVEL = 12, 1e-6
 # Rounds of shorter integration steps, each with a refit that begins at the optimum.
 _SHORTENED = 6
+# Iterations from which on a search that did not end was not told to take few.
+_ENDLESS = 100
 _NOWHERE = "the frequency domain led nowhere"
 # Walls that a search is led along, and how near one is, as a share of a state's scale or size.
 _WALLS, _BESIDE = 6, 1e-2
@@ -305,7 +307,9 @@ class Search(FirstPoints):
     def integrated(self, attempt: Attempt) -> Attempt:
         """The attempt with steps of the integration so short that they do not move the estimates."""
         for _ in range(_SHORTENED):
-            if attempt.solution.status != "converged":
+            status = attempt.solution.status
+            # beside corners that coarse steps cut there is no slope to end by
+            if status != "converged" and not (status == OUT_OF_ITERATIONS and attempt.iterations >= _ENDLESS):
                 break
             x = attempt.solution.x
             self._weigh(attempt.sigma)

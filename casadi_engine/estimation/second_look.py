@@ -35,6 +35,8 @@ _BEYOND = 2.0
 _LOUD = 2.0
 # Logarithm of the factor by which a parameter has left its start where another search is worth its time.
 _WAY = 1.0
+# A second search has intervals this many times shorter, of so many samples at least.
+_SHORTER, _SHORTEST = 4, 2
 # What the option says then.
 BOTH = "direct, then prediction"
 
@@ -86,13 +88,16 @@ def looked_at_twice(
         if not lost(found):
             return found
         return _another(found, again, kept, {"starts": _STARTS}, _TIMES, searched, _WORTH)
-    return _from_other_starts(over_whole_records(fit, again, kept), again, kept) if fit.converged else fit
+    if not fit.converged:
+        return fit
+    fit = over_shorter_pieces(over_whole_records(fit, again, kept), again, kept)
+    return _from_other_starts(fit, again, kept)
 
 
 def _from_other_starts(fit: Fit, again: Again, kept: Callable[[Fit, dict[str, Any]], Fit]) -> Fit:
     """The fit, or a better one from other starts, of one that went far or to a bound and leaves more than noise, or
     whose likelihood is no quadratic, as where it has further optima, if that is quick."""
-    white = not any("is not white" in words and words.startswith("the residual of") for words in fit.messages)
+    white = _is_white(fit)
     loud = fit.cost > _LOUD * fit.n  # beside levels that were stated
     held = any(words.startswith(HELD) for words in fit.messages)
     more = (not white and is_elsewhere(fit)) or ((loud or not white) and held) or loud
@@ -100,6 +105,10 @@ def _from_other_starts(fit: Fit, again: Again, kept: Callable[[Fit, dict[str, An
     if not (asked and fit.timing["total"] < _QUICK) or wild_samples(fit) is not None:
         return fit
     return _another(fit, again, kept, {"starts": _STARTS}, 1.0, {OTHERS: _STARTS}, rivals=True)
+
+
+def _is_white(fit: Fit) -> bool:
+    return not any("is not white" in words and words.startswith("the residual of") for words in fit.messages)
 
 
 def has_rivals(fit: Fit) -> bool:
@@ -147,6 +156,19 @@ def over_whole_records(
     if several and is_elsewhere(fit):
         return _another(fit, again, kept, {"interval": "single", "warm": None}, 1.0, {})
     return fit
+
+
+def over_shorter_pieces(
+    fit: Fit, again: Again, kept: Callable[[Fit, dict[str, Any]], Fit] = lambda found, _: found
+) -> Fit:
+    """The fit, or a better one over shorter shooting intervals, of one that leaves more than noise: the more states
+    of its own a search has along a record, the nearer to the data they begin, and the fewer optima are in its way."""
+    several = fit.options.get("interval") == "auto" and fit.model.linear is None and fit.nodes > len(fit.data)
+    samples = sum(max((len(one.time) for one in own.values()), default=0) for own in fit.traces.values())
+    length = max(round(samples / fit.nodes / _SHORTER), _SHORTEST)
+    if not several or _is_white(fit) or length * fit.nodes >= samples or wild_samples(fit) is not None:
+        return fit
+    return _another(fit, again, kept, {"interval": length, "warm": None}, 1.0, {})
 
 
 def _another(
