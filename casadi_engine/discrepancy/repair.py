@@ -64,6 +64,9 @@ from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 
 _STARTS, _MOST = 4, 4
+# Share of the largest motion over which jumps of the model's own laws are rounded at first, which steps as long as the
+# samples follow: corners are sharper where the data feel it, and what lacks an effect does not.
+_WIDE = 5e-2
 # Share of the time that is left of the budget that the fit without effects may take, once more that by predictions, and
 # a third of it other readings of the data: one that lacks an effect may crawl without end, and the search goes on from
 # where it is. Seconds that the first of these may take in any case.
@@ -164,7 +167,7 @@ def repair(
     """
     begun = time.perf_counter()
     own, given, records = _own(model, parameters), model, _records(data, model)
-    model = with_rounded_jumps(model, _largest(model, records))
+    model = with_rounded_jumps(model, _largest(model, records), share=_WIDE)
     pars = own if model is given else own.extended(model)
     others = () if fresh is None else _records(fresh, model)
     effects = left_out(effects, without)

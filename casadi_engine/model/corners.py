@@ -34,10 +34,13 @@ class Corner:
     signal: Any
 
 
-def with_rounded_jumps(model: Model, largest: Mapping[str, float] | None = None) -> Model:
+def with_rounded_jumps(
+    model: Model, largest: Mapping[str, float] | None = None, *, share: float = _WIDTH
+) -> Model:
     """The model with corners in place of what jumps with its states; itself where nothing does.
 
     largest : state or input -> its largest magnitude, where that is known; else the scale of a state is taken
+    share : of that magnitude over which a jump is rounded
 
     Jumps at instants in time, and at whole numbers (floor, remainder), stay as they are.
 
@@ -56,7 +59,7 @@ def with_rounded_jumps(model: Model, largest: Mapping[str, float] | None = None)
     whole = ca.vertcat(*columns)
     if not jumps_in(whole, moving):
         return model
-    made = _Rounding(model, with_held_jumps(whole, moving, products=True), largest or {})
+    made = _Rounding(model, with_held_jumps(whole, moving, products=True), largest or {}, share)
     sizes = np.cumsum([column.numel() for column in columns]).tolist()
     ode, laws, outputs = (made.expression[a:b] for a, b in zip([0, *sizes[:-1]], sizes, strict=True))
     return replace(
@@ -73,10 +76,12 @@ def with_rounded_jumps(model: Model, largest: Mapping[str, float] | None = None)
 class _Rounding:
     """What stands for the jumps of one expression."""
 
-    def __init__(self, model: Model, held: Held, largest: Mapping[str, float]) -> None:
-        self._model = model
+    def __init__(self, model: Model, held: Held, largest: Mapping[str, float], share: float) -> None:
+        self._model, self._share = model, share
         states = [largest.get(state.name, 0.0) or state.scale for state in model.states]
-        self._sizes = np.array([*states, *(largest.get(one.name, 0.0) for one in model.inputs)])
+        channels = [largest.get(one.name, 0.0) for one in model.inputs]
+        beside = model.u.numel() - len(channels)  # their rates, by which no width is told
+        self._sizes = np.array([*states, *channels, *[0.0] * beside])
         self.widths: list[Any] = []
         self.declarations: list[ParameterDeclaration] = []
         self.corners: list[Corner] = []
@@ -113,7 +118,7 @@ class _Rounding:
         if not 0 < typical < np.inf:
             typical = 1.0
         unit = next((s.unit for s, x in zip(model.states, states, strict=True) if str(x) == stem), "1")
-        value = float(f"{_WIDTH * typical:.2g}")
+        value = float(f"{self._share * typical:.2g}")
         words = f"over which the jump at {signal} = 0 is rounded"
         self.declarations.append(
             ParameterDeclaration(width.name(), value, unit, min=0.0, vary=False, description=words)

@@ -125,3 +125,23 @@ def test_what_drives_a_corner_counts_in_its_width():
         "run", time=t, units=units, v_belt=-0.1 * t, v_seen=[0.0, np.nan, -0.2, 0.1]
     )
     assert repair._largest(model, [record]) == pytest.approx({"v": 0.2, "v_belt": 0.3})
+
+
+def test_an_output_that_shows_an_input_at_once_needs_its_rate_and_rounds_all_the_same():
+    """A motor without inductance whose current is an output: a bare ValueError."""
+    b = ce.Blueprint("motor")
+    w, volts = b.state("w", unit="rad/s"), b.input("U", unit="V")
+    current = (volts - 0.02 * w) / b.parameter("R", 0.5, unit="Ohm")
+    b.ode("w", 400 * current - 1400 * ca.sign(w))
+    b.output("I", current, unit="A")
+    model = b.model()
+    assert model.rates
+    assert with_rounded_jumps(model, {"w": 200.0}).declarations[-1].value == pytest.approx(1.0)
+
+
+def test_corners_may_be_wider():
+    b = ce.Blueprint("slide")
+    v = b.state("v", unit="m/s")
+    b.ode("v", -2 * ca.sign(v))
+    b.output("v", v, unit="m/s")
+    assert with_rounded_jumps(b.model(), share=0.1).declarations[-1].value == pytest.approx(0.1)
