@@ -98,11 +98,6 @@ def _work(job: Job) -> int:
         return INTERRUPTED if found.status == "interrupted" else NO_ANSWER
     if found.stopped == "the user":
         return INTERRUPTED
-    from casadi_engine.discrepancy.repaired import UNTOLD
-
-    if found.unknown is not None and found.unknown.sentence == UNTOLD:
-        complain("repair", f"no answer: {UNTOLD}; give it a larger --budget")
-        return NO_ANSWER
     missing = found.verdict != "nothing missing"
     return NEGATIVE if job.options.extra["check"] and missing else ANSWERED
 

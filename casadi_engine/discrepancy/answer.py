@@ -77,6 +77,7 @@ from casadi_engine.discrepancy.repaired import (
     TOO_LITTLE,
     UNCONFIRMED,
     UNJUDGED,
+    UNTOLD,
     FoundEffect,
     Gaps,
     NextExperiment,
@@ -184,7 +185,7 @@ class Answer:
             known = {claim.unknown.sentence, _cut("leftover") if claim.unknown.port else ""}
             self.messages[:] = [words for words in self.messages if words not in known]
         blank = Repair(
-            "answered",
+            "answered" if verdict is not None else UNTOLD,
             verdict,
             proof.judgement.confirmed if proof.judgement and found else None,
             null.fit,
@@ -628,7 +629,9 @@ def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundE
     return found, tuple(replace(one, why_withdrawn=why) for one in everything if one.key not in known)
 
 
-def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict:
+def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict | None:
+    if unknown is not None and unknown.sentence == UNTOLD and not found:
+        return None
     if found:
         several = any(len(one.members) > 1 for one in found)
         # of no name, which is a member too

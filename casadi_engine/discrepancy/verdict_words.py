@@ -82,8 +82,6 @@ def headline(repair: Repair) -> str:
         said = f"{what} {seen}{tried}{maybe}{_on_fresh(repair)}"
         return said + ("; the residual is coloured, and others may hide in it" if may_hide(repair) else "")
     if repair.verdict == "unnamed":
-        if repair.unknown is not None and repair.unknown.sentence == UNTOLD:
-            return f"no finding: {UNTOLD}"
         if _in_fresh_alone(repair):
             return "something is missing that the data of the search do not show: the fresh data do not fit"
         if repair.unknown is not None and repair.unknown.sentence.startswith(SO_FAR):
@@ -343,7 +341,7 @@ def next_step(repair: Repair) -> str:
         )
     if repair.status == "interrupted":
         return "run it again and let it end; repair.fit is the best model so far"
-    if repair.verdict is None and SHARE_OVER in repair.status:
+    if repair.verdict is None and (SHARE_OVER in repair.status or repair.status == UNTOLD):
         return "give it more time, budget=..., or start values that are nearer"
     if repair.verdict is None:
         return "fix the baseline fit first: other start values, wider bounds, or more starts"

@@ -231,13 +231,19 @@ def test_a_unit_that_was_not_stated_is_said_once(leaking):
 def test_a_search_that_was_none_claims_nothing(leaking):
     """With a twentieth of a second, a record from which nothing was missing had been "something is missing"."""
     none = replace(
-        leaking, verdict="unnamed", effects=(), unknown=Unknown(UNTOLD, {}), stopped="the time budget"
+        leaking,
+        status=UNTOLD,
+        verdict=None,
+        effects=(),
+        unknown=Unknown(UNTOLD, {}),
+        stopped="the time budget",
     )
-    assert headline(none) == f"no finding: {UNTOLD}"
+    assert headline(none) == f"no answer: {UNTOLD}"
+    assert next_step(none) == "give it more time, budget=..., or start values that are nearer"
     near = f"{SO_FAR} drag at tank (chi-squared falls by 100 %), which was not fitted to its end"
-    said = headline(replace(none, unknown=Unknown(near, {})))
+    said = headline(replace(none, verdict="unnamed", unknown=Unknown(near, {})))
     assert said == f"something is missing, and the search ended too early for a name: {near}"
-    assert f"no finding: {UNTOLD}" in joined(none)
+    assert f"no answer: {UNTOLD}" in joined(none)
 
 
 @pytest.mark.parametrize(
