@@ -44,6 +44,8 @@ FACTOR, SHARPER, FELT = 4.0, 4, 0.25
 WIDER = 4
 # How the message begins that says so.
 ROUNDED = "the data feel how corners are rounded"
+_ASKED = "the data ask for rounded corners"
+CORNERS = ROUNDED, _ASKED
 # Of -2 log likelihood, what a law that is rounded itself has to leave less than a sharp one for its one more number:
 # three standard errors.
 _PREFERRED = 9.0
@@ -74,7 +76,7 @@ def from_wide_corners(
         return first({})
     except EstimationError as fault:
         model, parameters = arguments["model"], arguments["parameters"]
-        widths = {name: parameters[name].value for name in _open_widths(model, parameters)}
+        widths = {name: parameters[name].value for name in open_widths(model, parameters)}
         if not isinstance(fault.__cause__, FloatingPointError) or not widths:
             raise
     wider = [
@@ -99,7 +101,7 @@ def follow_motion(fit: Fit, parameters: Parameters, again: Callable[[Parameters,
     A width that was given a value of its own, or fixed by the user, stays. One that no record passes keeps its default,
     at the cost of one simulation.
     """
-    widths = _open_widths(fit.model, parameters)
+    widths = open_widths(fit.model, parameters)
     if not widths or not fit.converged or fit.gain is not None:
         return fit
     wide = {name: parameters[name].value for name in widths}
@@ -169,10 +171,7 @@ def _as_rounded(
     if not fit.converged or merit(fit) > merit(sharp.fit) - _PREFERRED:
         return None
     names = " and ".join(begun.widths)
-    words = (
-        f"the data ask for rounded corners: {names} is estimated, as sharp corners leave a larger residual than by "
-        "chance"
-    )
+    words = f"{_ASKED}: {names} is estimated, as sharp corners leave a larger residual than by chance"
     return replace(fit, messages=(words, *fit.messages))
 
 
@@ -287,7 +286,7 @@ def with_cut_corners(fit: Fit) -> Fit:
     return replace(fit, messages=(words, *fit.messages))
 
 
-def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
+def open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
     """Name -> the effect's attachment or the rounded jump, of widths that are as the model declares them."""
     declared = {one.name: one.value for one in model.declarations}
     rounded: tuple[Any, ...] = (*model.effects, *model.corners)
@@ -301,7 +300,7 @@ def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
 def with_widths_of(fit: Fit, parameters: Parameters) -> Parameters:
     """A copy of a set with the widths of corners that a fit found by the motion, where the set leaves them as they were
     declared; estimated where the fit estimated them: beside what is missing they are others."""
-    widths = {name: fit.parameters[name].value for name in _open_widths(fit.model, parameters)}
+    widths = {name: fit.parameters[name].value for name in open_widths(fit.model, parameters)}
     pars = with_widths(parameters, widths)
     for name in widths:
         if name in fit.free:
@@ -316,7 +315,7 @@ def _untouched(parameter: Any, value: float) -> bool:
 
 def narrowed(problem: RefitProblem, parameters: Parameters, found: Refit) -> dict[str, float]:
     """The widths of the corners that the motion of a refit asks to be sharper than the set has them."""
-    widths = _open_widths(problem.model, parameters)
+    widths = open_widths(problem.model, parameters)
     if not widths:
         return {}
     try:

@@ -18,7 +18,13 @@ from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.aliased import aliased
 from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.behind_a_bound import told_from_their_bounds
-from casadi_engine.estimation.corner_widths import follow_motion, from_wide_corners, with_cut_corners
+from casadi_engine.estimation.corner_widths import (
+    CORNERS,
+    follow_motion,
+    from_wide_corners,
+    open_widths,
+    with_cut_corners,
+)
 from casadi_engine.estimation.cut_short import GIVEN_UP, MANY, in_time
 from casadi_engine.estimation.faulty_samples import faults
 from casadi_engine.estimation.fit import Fit
@@ -219,7 +225,7 @@ def _as_asked(fit: Fit, begun: Parameters | None, total: float) -> Fit:
 
 
 def _followed_up(
-    run: Callable[..., Fit], arguments: dict[str, Any], how: tuple[int, int, float], *, alone: bool
+    run: partial[Fit], arguments: dict[str, Any], how: tuple[int, int, float], *, alone: bool
 ) -> Fit:
     """The fit, and those that follow from it: with sharper corners, with later channels, from other places.
 
@@ -239,13 +245,24 @@ def _followed_up(
         whole = again({"interval": found.options["interval"]} | there)
         return whole if whole.converged and merit(whole) <= merit(found) + LOWER else again(changed)
 
+    # of one search alone, whose corners are made sharper, the errors are looked at in the end
+    check = run.keywords["check"]
+    later = (
+        check is not None
+        and how[:2] == (1, 0)
+        and bool(open_widths(arguments["model"], arguments["parameters"]))
+    )
+
     def begun(more: dict[str, Any]) -> Fit:
-        return from_wide_corners(lambda changed: run(arguments | more | changed, *how), again, arguments)
+        first = partial(run, check=None) if later else run
+        return from_wide_corners(lambda changed: first(arguments | more | changed, *how), again, arguments)
 
     fit = begun({}) if alone else or_whole(begun)
     fit = in_time(lambda: follow_delays(fit, arguments["parameters"], again), lambda: fit)
     arguments["model"] = fit.model
-    fit = _with_sharp_corners(fit, arguments, again)
+    fit = _with_sharp_corners(
+        fit, arguments, partial(again, check=None), None if check is None else again, later
+    )
     if alone:
         return fit
     fit = in_time(lambda: _gone_on(fit, again), lambda: fit)
@@ -267,13 +284,24 @@ def _gone_on(fit: Fit, run: Callable[[dict[str, Any]], Fit]) -> Fit:
     return further if further.converged else fit
 
 
-def _with_sharp_corners(fit: Fit, arguments: Mapping[str, Any], run: Callable[[dict[str, Any]], Fit]) -> Fit:
-    """The fit with corners as sharp as the motion asks, as far as time allows."""
+def _with_sharp_corners(
+    fit: Fit,
+    arguments: Mapping[str, Any],
+    run: Callable[[dict[str, Any]], Fit],
+    checked: Callable[[dict[str, Any]], Fit] | None,
+    later: bool,
+) -> Fit:
+    """The fit with corners as sharp as the motion asks, as far as time allows.
+
+    run : makes a fit whose errors are not looked at; checked : one whose errors are, of the last one alone; None where
+    nobody asks for that; later : those of ``fit`` were not looked at either
+    """
     interval, reached = arguments["interval"], [fit]
 
     def again(pars: Parameters, warm: Fit, length: int) -> Fit:
         interval_of = length if interval == "auto" else interval
-        found = run({"parameters": pars, "warm": warm, "interval": interval_of, "approach": "direct"})
+        changed = {"parameters": pars, "warm": warm, "interval": interval_of, "approach": "direct"}
+        found = run(changed)
         if found.converged:
             reached.append(found)
         return found
@@ -282,7 +310,17 @@ def _with_sharp_corners(fit: Fit, arguments: Mapping[str, Any], run: Callable[[d
         best = min(reached, key=merit)  # the last one may have tried wider ones
         return fit if best is fit else with_cut_corners(best)
 
-    return in_time(lambda: follow_motion(fit, arguments["parameters"], again), so_far)
+    def looked_at(sharp: Fit, checked: Callable[[dict[str, Any]], Fit]) -> Fit:
+        own = {"parameters": sharp.parameters, "warm": sharp, "interval": sharp.options["interval"]}
+        whole = checked({**own, "approach": "direct"})
+        # the search goes on where it ended: what it says of its corners is the same
+        told = [words for words in sharp.messages if words.startswith(CORNERS)]
+        return replace(whole, messages=(*told, *whole.messages)) if whole.converged else sharp
+
+    sharp = in_time(lambda: follow_motion(fit, arguments["parameters"], again), so_far)
+    if checked is None or not sharp.converged or (sharp.z is fit.z and not later):
+        return sharp
+    return in_time(lambda: looked_at(sharp, checked), lambda: sharp)
 
 
 def _searched(
