@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from casadi_engine.report import load_result, plot, report
     from casadi_engine.validation import validate
 
-__version__ = "0.60.0"
+__version__ = "0.61.0"
 
 __all__ = [
     "Blueprint",

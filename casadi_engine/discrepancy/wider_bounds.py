@@ -45,7 +45,7 @@ def with_wider_bounds(
     values = " and ".join(f"{name} = {found.values[name]:.5g}{_unit(null, name)}" for name in moved)
     follows = f"the model without any effect follows {_shares(found, null)}"
     words = f"{rests}: with {values} {follows}. Look whether the bound is right"
-    return _hedged(repair, BOUNDS, words)
+    return hedged(repair, BOUNDS, words)
 
 
 def with_free_starts(
@@ -64,10 +64,10 @@ def with_free_starts(
         f"The initial states were given: with {values} in {record} the model without any effect follows "
         f"{_shares(found, repair.null_fit)}. Look whether they are right"
     )
-    return _hedged(repair, STARTS, words)
+    return hedged(repair, STARTS, words)
 
 
-def _hedged(repair: Repair, what: str, words: str) -> Repair:
+def hedged(repair: Repair, what: str, words: str) -> Repair:
     """The same with such words; what it names is one of two causes then."""
     verdict = "class" if repair.verdict == "named" else repair.verdict
     return replace(repair, verdict=verdict, options={**repair.options, what: words})

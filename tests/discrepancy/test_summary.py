@@ -11,7 +11,8 @@ import casadi_engine as ce
 from casadi_engine.discrepancy.repaired import SO_FAR, UNTOLD, Member, NextExperiment, NotFound, Unknown
 from casadi_engine.discrepancy.summary import _told_by, noise_of_chi2
 from casadi_engine.discrepancy.verdict_words import acts_where, headline, next_step
-from casadi_engine.discrepancy.wording import in_unit, port_cure, twins
+from casadi_engine.discrepancy.wider_bounds import hedged
+from casadi_engine.discrepancy.wording import BOUNDS, STARTS, in_unit, port_cure, twins
 
 
 def tank_model(port=True):
@@ -279,3 +280,11 @@ def test_values_count_on_gains_that_no_data_tell(leaking):
     drag = NotFound("quadratic_drag", "tank", 1e-5, "m3/s", testable=True)
     found = replace(leaking, verdict="nothing missing", effects=(), not_found=(drag, gain), stopped="")
     assert next_step(found).endswith("its values count on the gain of q, which these data cannot determine")
+
+
+@pytest.mark.parametrize(("what", "words"), [(BOUNDS, "a bound"), (STARTS, "a given first state")])
+def test_an_effect_that_a_wider_bound_does_without_is_one_of_two_causes(leaking, what, words):
+    """An offset of a sensor was named and confirmed where a belt creeps, with its stiffness on its bound."""
+    made = hedged(replace(leaking, verdict="named", confirmed=True), what, "c rests on its bound of 1")
+    assert made.verdict == "class"
+    assert headline(made).startswith(f"{words} may be all that is wrong, or constant_torque at tank")

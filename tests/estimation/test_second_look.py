@@ -13,7 +13,13 @@ from casadi_engine.errors import EstimationError, NoValueError
 from casadi_engine.estimation.followed import lost
 from casadi_engine.estimation.ipopt import ONE_STEP, WALL
 from casadi_engine.estimation.lower_optimum import merit
-from casadi_engine.estimation.second_look import BOTH, looked_at_twice, or_whole, over_whole_records
+from casadi_engine.estimation.second_look import (
+    BOTH,
+    looked_at_twice,
+    or_whole,
+    over_shorter_pieces,
+    over_whole_records,
+)
 
 NOT_WHITE = ("the residual of r/y is not white (neighbours correlate by 0.9): the model lacks something",)
 
@@ -455,3 +461,26 @@ def test_what_rests_at_a_limit_with_several_times_the_noise_is_looked_for_from_o
     fit = ce.estimate(pipe(), data, parameters=pars, noise=ce.Noise(e=0.1, c=0.1), progress=False)
     assert fit.cost < 1.2 * fit.n
     assert fit.values["G1"] == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_residual_that_is_not_white_is_looked_at_over_shorter_intervals():
+    """Two of six fits of an arm with play ended at other optima over intervals of sixteen samples."""
+    asked = []
+
+    def again(changes):
+        asked.append(changes)
+        return Found(50.0, messages=())
+
+    options = {"approach": "direct", "starts": 1, "interval": "auto"}
+    fit = Found(100.0, options=options, nodes=12)
+    assert over_shorter_pieces(fit, again).cost == 50.0
+    assert asked == [{"interval": 4, "warm": None}]
+    for other in (
+        replace(fit, messages=()),
+        replace(fit, options={**options, "interval": 16}),
+        replace(fit, model=SimpleNamespace(linear=object())),
+        replace(fit, nodes=1),
+        replace(fit, nodes=100),
+    ):
+        assert over_shorter_pieces(other, again) is other
+    assert len(asked) == 1

@@ -86,3 +86,54 @@ def test_a_state_that_grows_beyond_all_numbers_is_refused():
     time = 0.01 * np.arange(300)
     with pytest.raises(ce.errors.SimulationError):
         ce.simulate(b.model(), record(time, np.zeros(300), "zero"), initial={"x": 1.0})
+
+
+def dry_friction():
+    b = ce.Blueprint("slide")
+    torque = b.input("u")
+    x, w = b.state("x"), b.state("w")
+    b.ode("x", w)
+    b.ode("w", torque - 0.5 * w - 0.3 * ca.sign(w))
+    b.output("y", x)
+    return b.model()
+
+
+def event_by_event(time, u, hold):
+    """Positions of the same, by SciPy, with an event at each stop."""
+
+    def stops(t, x, *_):
+        return x[1]
+
+    stops.terminal = True
+    x, found = np.array([0.0, 0.4]), [0.0]
+    for k in range(len(time) - 1):
+        rise = (u[k + 1] - u[k]) / (time[k + 1] - time[k]) if hold == "first" else 0.0
+        t, end = time[k], time[k + 1]
+        while t < end:
+            push = u[k] + rise * (t - time[k])
+            at_rest = abs(x[1]) < 1e-12
+            if at_rest and abs(push) <= 0.3:  # held until it breaks away
+                late = (0.3 * np.sign(rise) - push) / rise if rise else np.inf
+                t, x = min(end, t + max(late, 0.0) + 1e-13), np.array([x[0], 0.0])
+                continue
+            side = np.sign(push) if at_rest else np.sign(x[1])
+
+            def rate(s, z, side=side, k=k, rise=rise):
+                return [z[1], u[k] + rise * (s - time[k]) - 0.5 * z[1] - 0.3 * side]
+
+            stops.direction = -side
+            run = solve_ivp(rate, (t, end), x, rtol=1e-11, atol=1e-13, method="DOP853", events=stops)
+            t, x = run.t[-1], run.y[:, -1]
+            if run.status == 1:
+                x = np.array([x[0], 0.0])
+        found.append(x[0])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+def test_records_with_switches_are_swept_between_their_events(pieces, hold):
+    time = 0.02 * np.arange(600)
+    u = np.round(0.8 * np.sin(1.1 * time) + 0.3 * np.sin(2.9 * time), 2)
+    run = ce.simulate(dry_friction(), record(time, u, hold), initial={"x": 0.0, "w": 0.4})
+    assert np.abs(run["y"].values - event_by_event(time, u, hold)).max() < 1e-6
+    assert len(pieces) < 0.25 * 2 * 599  # it is simulated twice, for its error
