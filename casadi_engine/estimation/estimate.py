@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.deadline import Deadline, TimeUp, best_wanted, is_set, late, was_stopped
-from casadi_engine.errors import EstimationError
+from casadi_engine.errors import CasadiEngineError, EstimationError
 from casadi_engine.estimation.aliased import aliased
 from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.behind_a_bound import told_from_their_bounds
@@ -312,15 +312,26 @@ def _with_sharp_corners(
 
     def looked_at(sharp: Fit, checked: Callable[[dict[str, Any]], Fit]) -> Fit:
         own = {"parameters": sharp.parameters, "warm": sharp, "interval": sharp.options["interval"]}
-        whole = checked({**own, "approach": "direct"})
+        try:
+            whole = checked({**own, "approach": "direct"})
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            return _unchecked(sharp)
         # the search goes on where it ended: what it says of its corners is the same
         told = [words for words in sharp.messages if words.startswith(CORNERS)]
-        return replace(whole, messages=(*told, *whole.messages)) if whole.converged else sharp
+        return replace(whole, messages=(*told, *whole.messages)) if whole.converged else _unchecked(sharp)
 
     sharp = in_time(lambda: follow_motion(fit, arguments["parameters"], again), so_far)
     if checked is None or not sharp.converged or (sharp.z is fit.z and not later):
         return sharp
-    return in_time(lambda: looked_at(sharp, checked), lambda: sharp)
+    return in_time(lambda: looked_at(sharp, checked), lambda: _unchecked(sharp))
+
+
+def _unchecked(fit: Fit) -> Fit:
+    words = (
+        "the errors are those of the curvature at the optimum, and were not checked away from it: the search that "
+        "would tell ended before; ce.profile(fit) looks there"
+    )
+    return replace(fit, messages=(*fit.messages, words))
 
 
 def _searched(

@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.corner_widths import (
     FELT,
     Motion,
@@ -249,3 +250,21 @@ def test_corners_stay_as_sharp_as_they_were_made_when_the_time_was_up(monkeypatc
     assert fit.converged
     assert fit.parameters[WIDTH].value == wide / 3
     assert f"the time was up before sharper ones were tried ({WIDTH} = " in fit.messages[0]
+
+
+def test_errors_that_were_not_looked_at_are_said_to_be_so(monkeypatch):
+    """They are looked at once, of the fit with the sharpest corners; where that search fails, ± is of the curvature."""
+    plain, looked = estimate._searched, []
+
+    def searched(*arguments, check, **how):
+        if check is not None:
+            looked.append(check)
+            raise EstimationError("the search fails", cure="none")
+        return plain(*arguments, check=check, **how)
+
+    monkeypatch.setattr(estimate, "_searched", searched)
+    model = shaft(scale=100.0).with_effect(ce.effects.CoulombFriction(), at="axis", values={"torque": 1.8})
+    fit = ce.estimate(model, record(100, 0.01), noise=ce.Noise(speed=0.01), progress=False)
+    assert fit.converged
+    assert len(looked) == 1
+    assert sum("were not checked away from it" in words for words in fit.messages) == 1
